@@ -158,7 +158,7 @@ impl Workspace {
             return Ok(());
         }
         let progress = ReadProgress::default();
-        let is_computed = key.is_made(volume)
+        let is_computed = key.is_computed(volume)
             && self.run_to_completion(volume, cancel, |workspace, context| {
                 workspace.compute(volume, key, &progress, None, context)
             })?;
@@ -167,7 +167,9 @@ impl Workspace {
         }
         let loaded = match self.transfer(volume, key, cancel) {
             // Once more: the samples need another type, or the file changed while it was read.
-            Err(JobError::Failed(WorkError::Unreadable(error))) if error.again => self.transfer(volume, key, cancel),
+            Err(JobError::Failed(WorkError::Unreadable(error))) if error.can_retry => {
+                self.transfer(volume, key, cancel)
+            }
             outcome => outcome,
         };
         loaded.map_err(|error| self.look_for_loss(error).into())

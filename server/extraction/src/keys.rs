@@ -73,13 +73,13 @@ impl VolumeKey {
 }
 
 impl VolumeKey {
-    /// Whether the device makes this field from others.
-    pub fn is_made(&self, volume: &VolumeStep) -> bool {
+    /// Whether the device computes this field from others.
+    pub fn is_computed(&self, volume: &VolumeStep) -> bool {
         self.recipe(volume).is_some()
     }
 
-    /// Returns how the device makes this field from others, and the keys of its inputs. `None` if the host makes the field or reads it:
-    /// padded and smoothed fields are made on the host.
+    /// Returns how the device computes this field from others, and the keys of its inputs. `None` if the host computes or reads it:
+    /// padded and smoothed fields are computed on the host.
     pub(crate) fn recipe(&self, volume: &VolumeStep) -> Option<(Recipe, Vec<Self>)> {
         if self.padded {
             return None;

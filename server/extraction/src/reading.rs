@@ -60,7 +60,7 @@ fn stamps(volume: &VolumeStep, key: &VolumeKey) -> Vec<(FileLocation, Option<Fil
 /// Reads a field and hands its samples on, until `sink` returns false.
 ///
 /// # Errors
-/// [`WorkError::Unreadable`], with `again` if a file was written or replaced meanwhile: then the caller may read once more.
+/// [`WorkError::Unreadable`], with `can_retry` if a file was written or replaced meanwhile: then the caller may read once more.
 pub fn read(
     volume: &VolumeStep,
     key: &VolumeKey,
@@ -78,7 +78,7 @@ pub fn read(
         Some((location, _)) => {
             let why = "the file was written or replaced while it was read: try again when it is complete";
             Err(WorkError::Unreadable(ReadError {
-                again: true,
+                can_retry: true,
                 ..ReadError::new(location.path(), "data", why)
             }))
         }

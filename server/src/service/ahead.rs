@@ -35,7 +35,7 @@ impl DeviceWorker {
         for view in views {
             // Reads only fields that come from files: the device computes the others from them when they are needed.
             let all = with_inputs(volume, &view_keys(volume, view), Masking::OnDevice);
-            for key in all.into_iter().filter(|key| !key.is_made(volume)) {
+            for key in all.into_iter().filter(|key| !key.is_computed(volume)) {
                 if !keys.contains(&key) {
                     keys.push(key);
                 }

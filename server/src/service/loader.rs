@@ -100,7 +100,7 @@ impl DeviceWorker {
         if self.on_device(move |state| Ok(state.is_resident(&asked))).await? {
             return Ok(());
         }
-        let is_made = matches!(purpose, Purpose::Now) && key.is_made(volume);
+        let is_made = matches!(purpose, Purpose::Now) && key.is_computed(volume);
         if is_made && self.compute(volume, key.clone(), Arc::clone(&progress)).await? {
             return Ok(());
         }
@@ -108,7 +108,7 @@ impl DeviceWorker {
         let _permit = permits.acquire_owned().await.map_err(|_| WorkError::Stopped)?;
         match self.transfer(volume, &key, &progress, purpose).await {
             // Retry: the samples need another type, or the file changed while it was read.
-            Err(WorkError::Unreadable(error)) if error.again => {
+            Err(WorkError::Unreadable(error)) if error.can_retry => {
                 progress.restart();
                 self.transfer(volume, &key, &progress, purpose).await
             }

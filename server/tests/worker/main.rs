@@ -49,7 +49,7 @@ impl Source for Distance {
         progress.add(self.stored_bytes());
         if self.broken {
             return Err(ReadError {
-                again: false,
+                can_retry: false,
                 path: PathBuf::from("broken.nrrd"),
                 field: "data".into(),
                 why: "3 bytes, expected 64000".into(),

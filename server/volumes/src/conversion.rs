@@ -54,7 +54,7 @@ impl Findings {
             }
             self.ask_for_ranks();
             return Err(ReadError {
-                again: true,
+                can_retry: true,
                 ..ReadError::new(path, "data", "its labels need ranks, expected to be read once more")
             });
         }
@@ -302,7 +302,7 @@ mod tests {
                 sink(isopeel_kernels::Samples::F32(values))
             });
             match outcome {
-                Err(error) if error.again => {}
+                Err(error) if error.can_retry => {}
                 other => return other.map(|()| got),
             }
         }

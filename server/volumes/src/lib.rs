@@ -395,7 +395,7 @@ fn only_piece(mut read: impl FnMut(&mut Sink<'_>) -> Result<(), ReadError>) -> R
         Ok(())
     };
     match read(&mut take) {
-        Err(error) if error.again => read(&mut take)?,
+        Err(error) if error.can_retry => read(&mut take)?,
         read => read?,
     }
     Ok(samples)
@@ -460,8 +460,8 @@ pub struct ReadError {
     pub field: String,
     /// What was found and what was expected.
     pub why: String,
-    /// Whether reading once more will succeed: it was found out that samples must be converted in another way.
-    pub again: bool,
+    /// Whether reading once more may succeed: the samples need another type, or the file changed while it was read.
+    pub can_retry: bool,
     /// The cause, if there is one.
     #[source]
     pub source: Option<std::io::Error>,
@@ -474,7 +474,7 @@ impl ReadError {
             path: path.to_owned(),
             field: field.into(),
             why: why.into(),
-            again: false,
+            can_retry: false,
             source: None,
         }
     }

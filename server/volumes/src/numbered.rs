@@ -208,7 +208,7 @@ impl Source for StepFiles {
         match self.0.get(step as usize) {
             // Ranks of labels would differ from file to file.
             Some(source) => match source.read_pieces(0, progress, piece, sink) {
-                Err(error) if error.again && self.0.len() > 1 => Err(merging_steps(&error.path)),
+                Err(error) if error.can_retry && self.0.len() > 1 => Err(merging_steps(&error.path)),
                 read => read,
             },
             None => self.read(step, progress).map(drop),
