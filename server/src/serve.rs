@@ -103,9 +103,9 @@ pub enum ServeError {
     /// The device could not be opened.
     #[error(transparent)]
     Device(#[from] WorkError),
-    /// The device was lost, and only another process can use its driver.
+    /// Only a new process can use the device.
     #[error("the device was lost, and its driver is of no use to this process any more")]
-    Spoiled,
+    NeedsNewProcess,
     /// Batch jobs cannot be stored.
     #[error(transparent)]
     Jobs(#[from] OpenError),
@@ -122,7 +122,8 @@ pub enum ServeError {
 /// Serves at once; requests that need the device wait until it is open (`GET /readyz`).
 ///
 /// # Errors
-/// [`ServeError`]; a device that cannot be opened ends the server. After [`ServeError::Spoiled`] the caller must start another process.
+/// [`ServeError`]; a device that cannot be opened ends the server. After [`ServeError::NeedsNewProcess`] the caller must start another
+/// process.
 pub async fn run(
     listener: impl Into<Listener>,
     config: Config,
@@ -179,7 +180,7 @@ pub async fn run(
     ));
     let outcome = tokio::select! {
         () = shutdown => Ok(()),
-        error = worker.unusable() => Err(error.map_or(ServeError::Spoiled, ServeError::Device)),
+        error = worker.unusable() => Err(error.map_or(ServeError::NeedsNewProcess, ServeError::Device)),
         ended = &mut server => return Ok(ended.map_err(std::io::Error::other)?),
     };
     stop.cancel();

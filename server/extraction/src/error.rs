@@ -43,7 +43,7 @@ impl OpenError {
     }
 
     /// Whether the device opens but computes wrong results.
-    pub fn is_wrong(&self) -> bool {
+    pub fn has_wrong_results(&self) -> bool {
         matches!(self, Self::Check { why, .. } if matches!(**why, CheckError::Differs { .. }))
     }
 }

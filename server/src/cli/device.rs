@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use isopeel_kernels::{Engine, SampleType};
 
 use crate::device::{DeviceFailure, DeviceRequirements, PendingCheck, Prepared, Proven, Unprepared, cache, prepare};
-use crate::service::{Choice, DeviceOptions, NoChoice, Report};
+use crate::service::{Choice, ChoiceError, DeviceOptions, StateReporter};
 
 /// Arguments of commands that use a device.
 #[derive(Clone, Debug, Default, clap::Args)]
@@ -67,15 +67,15 @@ impl DeviceArgs {
     /// A worker's options for a command: all of the check comes before its first result.
     pub(super) fn options(&self, types: Vec<SampleType>, say: impl Fn(&str) + Send + 'static) -> DeviceOptions {
         let (requirements, next) = (self.requirements(types.clone(), false), self.next.clone());
-        let choose = move |_: &Report| {
+        let choose = move |_: &StateReporter| {
             let progress =
                 |done: usize, of: usize| say(&format!("preparing the device: {done} of {of} steps are done"));
             match prepare(&requirements, &progress) {
                 Ok(prepared) => Ok(choice(&prepared, requirements.trusts)),
-                Err(Unprepared::Failed(failure)) => Err(NoChoice::Refused(failure.to_string())),
+                Err(Unprepared::Failed(failure)) => Err(ChoiceError::Refused(failure.to_string())),
                 Err(Unprepared::NewProcess(environment)) => {
                     next.set(environment);
-                    Err(NoChoice::NewProcess)
+                    Err(ChoiceError::NewProcess)
                 }
             }
         };
@@ -89,7 +89,7 @@ impl DeviceArgs {
     /// A worker's options for a server, which is ready for a first surface while the rest of the check runs.
     pub(super) fn server_options(&self, types: Vec<SampleType>) -> DeviceOptions {
         let (requirements, next) = (self.requirements(types.clone(), true), self.next.clone());
-        let choose = move |report: &Report| match prepare(&requirements, &|done, of| report.progress(done, of)) {
+        let choose = move |report: &StateReporter| match prepare(&requirements, &|done, of| report.progress(done, of)) {
             Ok(mut prepared) => {
                 let rest = prepared.rest.take();
                 let proven = rest.map(|rest| checked_meanwhile(rest, report.clone(), next));
@@ -98,10 +98,10 @@ impl DeviceArgs {
                     ..choice(&prepared, requirements.trusts)
                 })
             }
-            Err(Unprepared::Failed(failure)) => Err(NoChoice::Refused(failure.to_string())),
+            Err(Unprepared::Failed(failure)) => Err(ChoiceError::Refused(failure.to_string())),
             Err(Unprepared::NewProcess(environment)) => {
                 next.set(environment);
-                Err(NoChoice::NewProcess)
+                Err(ChoiceError::NewProcess)
             }
         };
         DeviceOptions {
@@ -145,7 +145,7 @@ impl DeviceArgs {
 
 /// Goes on with a check, whose proven programs are returned. If the device fails, the server ends, or another process
 /// with the `next` environment takes its place.
-fn checked_meanwhile(rest: PendingCheck, report: Report, next: NextEnvironment) -> Arc<Proven> {
+fn checked_meanwhile(rest: PendingCheck, report: StateReporter, next: NextEnvironment) -> Arc<Proven> {
     let proven = Arc::new(Proven::default());
     let found = Arc::clone(&proven);
     // Children end with the thread that started them: the caller's, which is the device's.
@@ -159,7 +159,7 @@ fn checked_meanwhile(rest: PendingCheck, report: Report, next: NextEnvironment) 
             }
             Err(Unprepared::NewProcess(environment)) => {
                 next.set(environment);
-                report.spoil();
+                report.need_new_process();
                 Err("the server starts again with a workaround for its driver".to_owned())
             }
         };

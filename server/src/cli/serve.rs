@@ -358,7 +358,7 @@ pub fn run(args: &Args) -> Result<(), Error> {
         audit.flush(AUDIT_GRACE);
     }
     let has_ended = worker.end_within(DEVICE_GRACE);
-    if matches!(served, Err(ServeError::Spoiled)) {
+    if matches!(served, Err(ServeError::NeedsNewProcess)) {
         tracing::warn!("another process takes the place of this one");
         log::finish();
         return Err(Error::Relaunch(relaunch::relaunch(
@@ -469,13 +469,13 @@ fn warn_of_network(args: &Args, address: &ListenAddress) {
     }
 }
 
-fn start_worker(args: &Args, catalog: &SharedCatalog, is_patient: bool) -> std::io::Result<DeviceWorker> {
+fn start_worker(args: &Args, catalog: &SharedCatalog, retries_opening: bool) -> std::io::Result<DeviceWorker> {
     let now = catalog.now();
     let fields = now.datasets().iter().flat_map(|dataset| &dataset.fields);
     let types: HashSet<_> = fields.map(|field| field.sample_type).collect();
     let types = types.into_iter().collect();
     DeviceWorker::start_with(DeviceOptions {
-        is_patient,
+        retries_opening,
         surface_bytes: args.memory.surface_bytes(),
         request_time: limit_of(args.request_time),
         user_time: limit_of(args.user_time),

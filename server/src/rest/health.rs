@@ -52,7 +52,7 @@ pub async fn readyz(State(state): State<ApiState>) -> Result<&'static str, ApiEr
         DeviceState::Opening(Preparation { done, of }) => Err(ApiError::busy(format!(
             "the device is being prepared: {done} of {of} steps are done"
         ))),
-        DeviceState::Lost | DeviceState::Spoiled => Err(WorkError::Reopening.into()),
+        DeviceState::Lost | DeviceState::NeedsNewProcess => Err(WorkError::Reopening.into()),
         DeviceState::Failed(error) => Err(WorkError::NoDevice(error).into()),
     }
 }

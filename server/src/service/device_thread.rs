@@ -1,8 +1,8 @@
 //! The device's thread: opens the device, runs jobs, and reopens the device after it was lost.
 //!
 //! A driver reports a lost device only by failing each call, sometimes with "out of resources". So after a failure the thread reads back a
-//! byte that the device holds: if that fails, the device is lost. All data on it is gone then; jobs find that their volumes are not
-//! resident, and load them again.
+//! byte from the device. If that fails, the device is lost with all data on it. Jobs then find that their volumes are not resident, and
+//! load them again.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -48,15 +48,15 @@ static OPENING: Mutex<()> = Mutex::new(());
 /// State of the device.
 #[derive(Clone, Debug)]
 pub enum DeviceState {
-    /// Being checked and opened, its programs being built. Jobs wait.
+    /// The device is being checked and opened, and its programs are being built. Jobs wait.
     Opening(Preparation),
     /// Ready.
     Ready(DeviceInfo),
     /// The device was lost, and attempts to reopen it have failed so far; jobs fail until one succeeds.
     Lost,
-    /// The device was lost, and this process cannot use its driver any more; every job fails.
-    Spoiled,
-    /// Could not be opened when the server started; every job fails.
+    /// Only a new process can use the device; every job fails.
+    NeedsNewProcess,
+    /// The device must not be used, or could not be opened when the server started; every job fails.
     Failed(Arc<OpenError>),
 }
 
@@ -64,40 +64,40 @@ pub enum DeviceState {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[cfg_attr(test, derive(ts_rs::TS))]
 pub struct Preparation {
-    /// Steps that are done.
+    /// Number of steps that are done.
     pub done: usize,
-    /// Steps in all; 0 if that is not known.
+    /// Total number of steps; 0 if it is not known.
     pub of: usize,
 }
 
-/// A device that was chosen.
+/// The device to open, and how.
 #[derive(Default)]
 pub struct Choice {
-    /// Index or a part of its name, as `isopeel devices` lists them; `None`: the first.
+    /// Its index or a part of its name, as `isopeel devices` lists them; `None`: the first device.
     pub selector: Option<String>,
     /// How its kernels are built and launched, if not by default.
     pub tuning: Option<Tuning>,
     /// Whether the user trusts the device without a check.
     pub is_trusted: bool,
-    /// Set while the check is still running: the programs that have passed it so far. Only these and the programs of a first surface are
-    /// run.
+    /// Programs that have passed the check so far; `None` if the check is complete. Until then only these and the programs of a first
+    /// surface are run.
     pub proven: Option<Arc<Proven>>,
 }
 
-/// Why no device was chosen.
+/// Why no device can be opened by this process.
 #[derive(Debug)]
-pub enum NoChoice {
+pub enum ChoiceError {
     /// No device may be used; the text says why, and what to do.
     Refused(String),
     /// This process cannot use the device, but a new one can.
     NewProcess,
 }
 
-/// Reports the device's state before it is opened, and what a later check finds.
+/// Reports the progress before the device is open, and failures of the check, which may go on after that.
 #[derive(Clone)]
-pub struct Report(Arc<watch::Sender<DeviceState>>);
+pub struct StateReporter(Arc<watch::Sender<DeviceState>>);
 
-impl Report {
+impl StateReporter {
     /// Reports progress. Without effect once the device is open.
     pub fn progress(&self, done: usize, of: usize) {
         self.0.send_if_modified(|state| {
@@ -109,31 +109,31 @@ impl Report {
         });
     }
 
-    /// Reports that this process must not use the device any more: another process takes its place.
-    pub fn spoil(&self) {
-        self.0.send_replace(DeviceState::Spoiled);
+    /// Reports that this process must not use the device any more: a new process replaces it.
+    pub fn need_new_process(&self) {
+        self.0.send_replace(DeviceState::NeedsNewProcess);
     }
 
-    /// Reports that the device must not be used any more: the server ends with this text.
+    /// Reports that the device must not be used any more. The server ends with this text.
     pub fn refuse(&self, why: String) {
         self.0
             .send_replace(DeviceState::Failed(Arc::new(OpenError::Refused(why))));
     }
 }
 
-/// Chooses the device, on its thread, before it is opened the first time.
-pub type Choose = Box<dyn FnOnce(&Report) -> Result<Choice, NoChoice> + Send>;
+/// Chooses the device. Called on the device's thread, before the device is first opened.
+pub type DeviceChooser = Box<dyn FnOnce(&StateReporter) -> Result<Choice, ChoiceError> + Send>;
 
 /// Options of a device's thread.
 pub struct DeviceOptions {
     /// Chooses the device.
-    pub choose: Choose,
-    /// A first surface of these sample types is made before the device is ready, so that no viewer waits for a compiler.
+    pub choose: DeviceChooser,
+    /// Sample types of which a first surface is made before the device is ready, so that no viewer waits for a compiler.
     pub types: Vec<SampleType>,
-    /// Whether to retry opening a device until it succeeds, because it existed before.
-    pub is_patient: bool,
-    /// Maximum bytes of cached data of earlier edits. The default is [`isopeel_extraction::PROCESSOR_BYTES`] if the device is this machine's
-    /// processors, else a third of its memory. A third of its memory is also the maximum.
+    /// Whether to retry opening the device until it succeeds. For a device that has worked before.
+    pub retries_opening: bool,
+    /// Maximum bytes of cached data of earlier edits, limited to a third of the device's memory. The default is that third, or
+    /// [`isopeel_extraction::PROCESSOR_BYTES`] if the device is this machine's processors.
     pub surface_bytes: Option<u64>,
     /// Maximum device time that a request may take to compute a field.
     pub request_time: Option<Duration>,
@@ -152,7 +152,7 @@ impl DeviceOptions {
                 })
             }),
             types: Vec::new(),
-            is_patient: false,
+            retries_opening: false,
             surface_bytes: None,
             request_time: None,
             user_time: None,
@@ -160,10 +160,10 @@ impl DeviceOptions {
     }
 }
 
-/// A device's thread before it runs.
+/// What the device's thread needs beside the choice of the device.
 pub(super) struct DeviceThread {
     pub types: Vec<SampleType>,
-    pub is_patient: bool,
+    pub retries_opening: bool,
     pub surface_bytes: Option<u64>,
     pub request_time: Option<Duration>,
     pub state: Arc<watch::Sender<DeviceState>>,
@@ -178,23 +178,25 @@ pub(super) struct DeviceThread {
 
 impl DeviceThread {
     /// Runs jobs until all senders of the queue are dropped, or the device cannot be opened.
-    pub(super) fn run(self, choose: Choose, waiting: mpsc::Receiver<Job<Workspace>>) {
-        let choice = match choose(&Report(Arc::clone(&self.state))) {
+    pub(super) fn run(self, choose: DeviceChooser, jobs: mpsc::Receiver<Job<Workspace>>) {
+        let choice = match choose(&StateReporter(Arc::clone(&self.state))) {
             Ok(choice) => choice,
-            Err(NoChoice::Refused(why)) => {
+            Err(ChoiceError::Refused(why)) => {
                 self.state
                     .send_replace(DeviceState::Failed(Arc::new(OpenError::Refused(why))));
                 return;
             }
-            Err(NoChoice::NewProcess) => {
-                self.state.send_replace(DeviceState::Spoiled);
+            Err(ChoiceError::NewProcess) => {
+                self.state.send_replace(DeviceState::NeedsNewProcess);
                 return;
             }
         };
         let engine = loop {
             match self.open(&choice) {
                 Ok(engine) => break engine,
-                Err(error) if self.is_patient && !error.is_wrong() && !waiting.is_closed() => self.report_lost(&error),
+                Err(error) if self.retries_opening && !error.has_wrong_results() && !jobs.is_closed() => {
+                    self.report_lost(&error)
+                }
                 Err(error) => {
                     // The state is set before the queue is dropped, so that the callers of waiting jobs find the error there.
                     self.state.send_replace(DeviceState::Failed(Arc::new(error)));
@@ -203,20 +205,20 @@ impl DeviceThread {
             }
             std::thread::sleep(RETRY_INTERVAL);
         };
-        let program = resident_bytes();
+        let process_bytes = resident_bytes();
         let memory = self.memory.clone();
-        let report_memory = move |state: &Workspace| {
-            if let Ok(used) = state.memory(program) {
+        let report_memory = move |workspace: &Workspace| {
+            if let Ok(used) = workspace.memory(process_bytes) {
                 memory.send_replace(used);
             }
         };
         let device = engine.device().clone();
-        let mut workspace = self.workspace_on(engine, &choice);
+        let mut workspace = self.new_workspace(engine, &choice);
         report_memory(&workspace);
-        self.ready(device);
-        Queue::new(waiting, report_memory).run(&mut workspace, |state, queue| {
-            if state.is_lost() {
-                self.open_again(&choice, state, queue);
+        self.report_ready(device);
+        Queue::new(jobs, report_memory).run(&mut workspace, |workspace, queue| {
+            if workspace.is_lost() {
+                self.reopen(&choice, workspace, queue);
             }
         });
     }
@@ -224,7 +226,7 @@ impl DeviceThread {
     /// Opens the device, and makes a first surface of each type: drivers finish compiling when a kernel is first launched.
     fn open(&self, choice: &Choice) -> Result<Engine, OpenError> {
         // PoCL 3.1 crashes or finds no device if two threads of a process open it at once.
-        let _alone = lock(&OPENING);
+        let _guard = lock(&OPENING);
         let engine = Engine::open_tuned(choice.selector.as_deref(), None, choice.tuning)?;
         for &sample_type in &self.types {
             let mut check = Check::new(&engine, sample_type);
@@ -247,11 +249,11 @@ impl DeviceThread {
         Ok(engine)
     }
 
-    fn ready(&self, device: DeviceInfo) {
+    fn report_ready(&self, device: DeviceInfo) {
         tracing::info!(device = device.name, platform = device.platform, "device ready");
         self.state.send_if_modified(|state| {
-            // The check that still runs may have refused the device meanwhile.
-            let is_refused = matches!(state, DeviceState::Failed(_) | DeviceState::Spoiled);
+            // A check that still runs may have refused the device meanwhile.
+            let is_refused = matches!(state, DeviceState::Failed(_) | DeviceState::NeedsNewProcess);
             if !is_refused {
                 *state = DeviceState::Ready(device);
             }
@@ -259,13 +261,14 @@ impl DeviceThread {
         });
     }
 
-    /// Reports that the device is lost, because an attempt to open it again has failed.
+    /// Reports a failed attempt to open the device again.
     fn report_lost(&self, error: &OpenError) {
         tracing::error!(error = chain(error), "the device cannot be opened again so far");
         self.state.send_replace(DeviceState::Lost);
     }
 
-    fn workspace_on(&self, engine: Engine, choice: &Choice) -> Workspace {
+    /// Creates the workspace of a newly opened engine, and publishes the engine's number and the proven programs to the handles.
+    fn new_workspace(&self, engine: Engine, choice: &Choice) -> Workspace {
         let workspace = Workspace::new(
             engine,
             Options {
@@ -284,18 +287,19 @@ impl DeviceThread {
         workspace
     }
 
-    /// Replaces a lost device by a reopened one, as soon as that succeeds.
-    fn open_again(&self, choice: &Choice, lost: &mut Workspace, queue: &mut Queue<Workspace>) {
+    /// Reopens a lost device, and gives it a new workspace. Retries until that succeeds or all handles are dropped; meanwhile waiting jobs
+    /// fail.
+    fn reopen(&self, choice: &Choice, workspace: &mut Workspace, queue: &mut Queue<Workspace>) {
         self.state.send_replace(DeviceState::Opening(Preparation::default()));
-        // Data held of a lost device may prevent it from being reopened.
-        discard(|| lost.clear());
+        // Buffers of the lost device may prevent it from being reopened.
+        discard(|| workspace.clear());
         loop {
             match self.open(choice) {
                 Ok(engine) => {
                     let device = engine.device().clone();
-                    let old = std::mem::replace(lost, self.workspace_on(engine, choice));
+                    let old = std::mem::replace(workspace, self.new_workspace(engine, choice));
                     discard(|| drop(old));
-                    self.ready(device);
+                    self.report_ready(device);
                     return;
                 }
                 Err(OpenError::Device(error)) if error.needs_new_process() => {
@@ -303,7 +307,7 @@ impl DeviceThread {
                         error = chain(&error),
                         "the driver is of no use to this process any more"
                     );
-                    self.state.send_replace(DeviceState::Spoiled);
+                    self.state.send_replace(DeviceState::NeedsNewProcess);
                 }
                 Err(error) => self.report_lost(&error),
             }
@@ -315,9 +319,9 @@ impl DeviceThread {
     }
 }
 
-/// Drops what belongs to a lost device. A panic of its driver is logged and otherwise ignored: no caller could act on it.
-fn discard(work: impl FnOnce()) {
-    if catch_unwind(AssertUnwindSafe(work)).is_err() {
+/// Runs `free`, which drops objects of a lost device. A panic of its driver is logged and otherwise ignored: no caller could act on it.
+fn discard(free: impl FnOnce()) {
+    if catch_unwind(AssertUnwindSafe(free)).is_err() {
         tracing::warn!("the driver of the lost device did not free all its objects");
     }
 }

@@ -31,7 +31,7 @@ mod views;
 mod volume_info;
 mod worker;
 
-pub use device_thread::{Choice, Choose, DeviceOptions, DeviceState, NoChoice, Preparation, Report};
+pub use device_thread::{Choice, ChoiceError, DeviceChooser, DeviceOptions, DeviceState, Preparation, StateReporter};
 pub use extractor::Extractor;
 pub use loading::{OpeningProgress, OpeningWatch};
 pub use open_steps::Held;

@@ -25,7 +25,7 @@ impl DeviceWorker {
     pub fn memory_now(&self) -> Option<MemoryUse> {
         match self.state() {
             DeviceState::Ready(device) => Some(self.shared.memory.borrow().stated(device.kind)),
-            DeviceState::Opening(_) | DeviceState::Lost | DeviceState::Spoiled | DeviceState::Failed(_) => None,
+            DeviceState::Opening(_) | DeviceState::Lost | DeviceState::NeedsNewProcess | DeviceState::Failed(_) => None,
         }
     }
 }

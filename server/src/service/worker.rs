@@ -112,7 +112,7 @@ impl DeviceWorker {
         let DeviceOptions {
             choose,
             types,
-            is_patient,
+            retries_opening,
             surface_bytes,
             request_time,
             user_time,
@@ -126,7 +126,7 @@ impl DeviceWorker {
         let engine = Arc::new(AtomicU64::default());
         let thread = DeviceThread {
             types,
-            is_patient,
+            retries_opening,
             surface_bytes,
             request_time,
             state: Arc::new(state),
@@ -239,16 +239,16 @@ impl DeviceWorker {
         match settled.map(|s| s.clone()) {
             Ok(DeviceState::Ready(info)) => Ok(info),
             Ok(DeviceState::Failed(error)) => Err(WorkError::NoDevice(error)),
-            Ok(DeviceState::Lost | DeviceState::Spoiled) => Err(WorkError::Reopening),
+            Ok(DeviceState::Lost | DeviceState::NeedsNewProcess) => Err(WorkError::Reopening),
             Ok(DeviceState::Opening(_)) | Err(_) => Err(WorkError::Stopped),
         }
     }
 
     /// Resolves when this process can never use the device: with the error if it could not be opened at the start or its thread has ended,
-    /// and with `None` if its driver is spoiled.
+    /// and with `None` if only a new process can use it.
     pub async fn unusable(&self) -> Option<WorkError> {
         let mut state = self.states();
-        let is_final = |state: &DeviceState| matches!(state, DeviceState::Failed(_) | DeviceState::Spoiled);
+        let is_final = |state: &DeviceState| matches!(state, DeviceState::Failed(_) | DeviceState::NeedsNewProcess);
         match state.wait_for(is_final).await.map(|state| state.clone()) {
             Ok(DeviceState::Failed(error)) => Some(WorkError::NoDevice(error)),
             Ok(_) => None,
@@ -299,7 +299,7 @@ impl DeviceWorker {
         T: Send + 'static,
         F: FnOnce(&mut Workspace, &mut JobContext<'_, Workspace>) -> Result<T, JobError> + Send + 'static,
     {
-        if matches!(self.state(), DeviceState::Lost | DeviceState::Spoiled) {
+        if matches!(self.state(), DeviceState::Lost | DeviceState::NeedsNewProcess) {
             return Err(WorkError::Reopening.into());
         }
         let permit = tokio::select! {
@@ -409,7 +409,7 @@ impl DeviceWorker {
     fn why_stopped(&self) -> WorkError {
         match self.state() {
             DeviceState::Failed(error) => WorkError::NoDevice(error),
-            DeviceState::Lost | DeviceState::Spoiled => WorkError::Reopening,
+            DeviceState::Lost | DeviceState::NeedsNewProcess => WorkError::Reopening,
             DeviceState::Opening(_) | DeviceState::Ready(_) => WorkError::Stopped,
         }
     }
