@@ -1,18 +1,19 @@
 //! Read-ahead: while a viewer goes through the time steps one by one, loads the next steps before the viewer reaches them. Read-ahead takes
-//! no memory from data in use: neither from volumes that jobs work on (`pins`), nor from time steps that viewers have open ([`Held`]).
+//! no memory from data in use: neither from volumes that jobs work on (`pins`), nor from time steps that viewers have open
+//! ([`OpenStepGuard`]).
 
 use isopeel_extraction::{JobError, Masking, VolumeKey, WorkError, padded_grid, view_keys, with_inputs};
 use isopeel_view::View;
 use isopeel_volumes::VolumeStep;
 use tokio_util::sync::CancellationToken;
 
-use super::open_steps::Held;
+use super::open_steps::OpenStepGuard;
 use super::scheduler::{Caller, Length};
 use super::worker::DeviceWorker;
 
 impl DeviceWorker {
     /// Marks a time step as open in a viewer until the returned guard is dropped.
-    pub fn hold(&self, volume: &VolumeStep) -> Held {
+    pub fn hold(&self, volume: &VolumeStep) -> OpenStepGuard {
         self.shared.ahead.hold(&volume.key())
     }
 
@@ -41,10 +42,9 @@ impl DeviceWorker {
                 }
             }
         }
-        let turn = &self.shared.ahead.turn;
         for key in keys {
             let permit = tokio::select! {
-                permit = turn.acquire() => permit.map_err(|_| WorkError::Stopped)?,
+                permit = self.shared.ahead.permits.acquire() => permit.map_err(|_| WorkError::Stopped)?,
                 () = token.cancelled() => return Ok(()),
             };
             if token.is_cancelled() || !self.has_space_ahead(volume, &key, budget).await? {
@@ -56,7 +56,7 @@ impl DeviceWorker {
         Ok(())
     }
 
-    /// Whether a viewer has the time step of a field open.
+    /// Returns a predicate: whether a viewer has the time step of a field open.
     pub(super) fn is_open(&self) -> impl Fn(&VolumeKey) -> bool + Send + use<> {
         self.shared.ahead.is_open()
     }

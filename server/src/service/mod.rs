@@ -34,7 +34,7 @@ mod worker;
 pub use device_thread::{Choice, ChoiceError, DeviceChooser, DeviceOptions, DeviceState, Preparation, StateReporter};
 pub use extractor::Extractor;
 pub use loading::{OpeningProgress, OpeningWatch};
-pub use open_steps::Held;
+pub use open_steps::OpenStepGuard;
 pub use volume_info::{
     AxisInfo, DerivedInfo, FieldInfo, GeometryInfo, HistogramInfo, LabelInfo, TimesInfo, VectorInfo, VolumeInfo,
     describe, describe_expression,

@@ -7,57 +7,54 @@ use isopeel_extraction::{VolumeKey, lock};
 use isopeel_volumes::StepKey;
 use tokio::sync::Semaphore;
 
-/// Maximum number of time steps that are read ahead at the same time. One, because each occupies a disk, and a processor if it has to be
-/// decoded.
-const CONCURRENT: usize = 1;
+/// Maximum number of time steps that are read ahead at the same time. One, because each occupies a disk, and a processor if it is
+/// compressed.
+const CONCURRENT_READS: usize = 1;
 
-/// How many viewers have each time step open.
+/// Number of viewers that have each time step open. Steps without viewers have no entry.
 type OpenSteps = Arc<Mutex<HashMap<StepKey, usize>>>;
 
 /// State of read-ahead: the open steps, which it must not evict, and its semaphore.
 pub(super) struct AheadState {
-    open: OpenSteps,
-    pub turn: Semaphore,
+    open_steps: OpenSteps,
+    pub permits: Semaphore,
 }
 
 impl AheadState {
     pub(super) fn new() -> Self {
         Self {
-            open: Arc::default(),
-            turn: Semaphore::new(CONCURRENT),
+            open_steps: Arc::default(),
+            permits: Semaphore::new(CONCURRENT_READS),
         }
     }
 
     /// Marks a time step as open in a viewer until the returned guard is dropped.
-    pub(super) fn hold(&self, step: &StepKey) -> Held {
-        let (open, step) = (Arc::clone(&self.open), step.clone());
-        *lock(&open).entry(step.clone()).or_default() += 1;
-        Held {
-            held: Some((open, step)),
-        }
+    pub(super) fn hold(&self, step: &StepKey) -> OpenStepGuard {
+        *lock(&self.open_steps).entry(step.clone()).or_default() += 1;
+        OpenStepGuard(Some((Arc::clone(&self.open_steps), step.clone())))
     }
 
-    /// Whether a viewer has the time step of a field open.
+    /// Returns a predicate: whether a viewer has the time step of a field open.
     pub(super) fn is_open(&self) -> impl Fn(&VolumeKey) -> bool + Send + use<> {
-        let open = Arc::clone(&self.open);
-        move |key| lock(&open).contains_key(&key.step)
+        let open_steps = Arc::clone(&self.open_steps);
+        move |key| lock(&open_steps).contains_key(&key.step)
     }
 }
 
-/// A time step that a viewer has open: its samples stay on the device while others are read ahead. The default holds nothing.
+/// Guard of a time step that a viewer has open: read-ahead does not evict its samples. The default guards no step.
 #[derive(Default)]
-pub struct Held {
-    held: Option<(OpenSteps, StepKey)>,
-}
+pub struct OpenStepGuard(Option<(OpenSteps, StepKey)>);
 
-impl Drop for Held {
+impl Drop for OpenStepGuard {
     fn drop(&mut self) {
-        let Some((open, step)) = self.held.take() else { return };
-        let mut open = lock(&open);
-        if let Some(count) = open.get_mut(&step) {
-            *count -= 1;
-            if *count == 0 {
-                open.remove(&step);
+        let Some((open_steps, step)) = self.0.take() else {
+            return;
+        };
+        let mut open_steps = lock(&open_steps);
+        if let Some(viewers) = open_steps.get_mut(&step) {
+            *viewers -= 1;
+            if *viewers == 0 {
+                open_steps.remove(&step);
             }
         }
     }

@@ -15,7 +15,7 @@ use tokio_util::sync::CancellationToken;
 
 use crate::access::Identity;
 use crate::error::chain;
-use crate::service::{DeviceState, DeviceWorker, Extractor, Held, OpeningProgress, OpeningWatch, describe};
+use crate::service::{DeviceState, DeviceWorker, Extractor, OpenStepGuard, OpeningProgress, OpeningWatch, describe};
 
 /// Default bytes of chunks that are cached for viewers of equal views: some dozen surfaces of a million triangles.
 pub const SHARED_BYTES: u64 = 256 << 20;
@@ -64,8 +64,8 @@ pub trait Backend: Clone + Send + Sync + 'static {
     ) -> impl Future<Output = ()> + Send;
 
     /// Marks a time step as open until the returned guard is dropped: prefetching others does not evict its samples.
-    fn hold(&self, _volume: &VolumeStep) -> Held {
-        Held::default()
+    fn hold(&self, _volume: &VolumeStep) -> OpenStepGuard {
+        OpenStepGuard::default()
     }
 
     /// Whether volumes and time steps may appear.
@@ -248,7 +248,7 @@ impl Backend for Live {
         }
     }
 
-    fn hold(&self, volume: &VolumeStep) -> Held {
+    fn hold(&self, volume: &VolumeStep) -> OpenStepGuard {
         self.extractor.worker().hold(volume)
     }
 

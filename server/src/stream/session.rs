@@ -489,8 +489,8 @@ impl<B: Backend> Session<B> {
             Err(error) => return self.send_error("unknown-step", error.to_string(), true),
         };
         self.opens += 1;
-        let held = self.backend.hold(&volume);
-        self.opened = Some(OpenVolume::new(volume, view, held, lease));
+        let step_guard = self.backend.hold(&volume);
+        self.opened = Some(OpenVolume::new(volume, view, step_guard, lease));
     }
 
     /// Sends the progress of opening a volume. A client that does not read gets only the newest state.

@@ -14,7 +14,7 @@ use super::outbox::Newest;
 use super::pending::{NamedBudget, PendingStep};
 use super::rest::Rest;
 use super::surface::SurfaceSession;
-use crate::service::{Held, OpeningProgress};
+use crate::service::{OpenStepGuard, OpeningProgress};
 
 pub(super) struct OpenVolume {
     pub volume: VolumeStep,
@@ -39,7 +39,7 @@ pub(super) struct OpenVolume {
     /// Marks the volume as in use, and tells when it is removed.
     pub lease: Lease,
     /// Keeps the step's samples on the device while others are read ahead.
-    pub held: Held,
+    pub step_guard: OpenStepGuard,
     /// Token of the work for this time step.
     pub step_token: CancellationToken,
     pub _cancel_step: DropGuard,
@@ -91,7 +91,7 @@ impl<B: Backend> Session<B> {
 
 impl OpenVolume {
     /// Creates an open volume with surface 0, which is not made before an edit.
-    pub(super) fn new(volume: VolumeStep, view: View, held: Held, lease: Lease) -> Self {
+    pub(super) fn new(volume: VolumeStep, view: View, step_guard: OpenStepGuard, lease: Lease) -> Self {
         let (token, step_token) = (CancellationToken::new(), CancellationToken::new());
         let mut surfaces = [const { None }; MAX_SURFACES as usize];
         surfaces[0] = Some(SurfaceSession {
@@ -111,7 +111,7 @@ impl OpenVolume {
             expected: None,
             undescribed_since: None,
             lease,
-            held,
+            step_guard,
             _cancel_step: step_token.clone().drop_guard(),
             step_token,
             _cancel: token.clone().drop_guard(),

@@ -18,7 +18,7 @@ use super::jobs::{BoxFuture, DeviceDone};
 use super::open_volume::{OpenVolume, OpeningPhase};
 use super::pending::PendingStep;
 use super::rest::REST_AFTER;
-use crate::service::Held;
+use crate::service::OpenStepGuard;
 use crate::wire::messages::ServerMessage;
 
 /// Maximum stride between two consecutive steps for which the next step is predicted.
@@ -115,10 +115,10 @@ impl<B: Backend> Session<B> {
             step,
             label: times.map(|times| times.label(step)),
         });
-        let held = self.backend.hold(&volume);
+        let guard = self.backend.hold(&volume);
         if let Some(opened) = &mut self.opened {
             opened.expected = expected(opened.volume.step(), step, volume.dataset().steps);
-            opened.step_to(volume, held);
+            opened.step_to(volume, guard);
             for (_, surface) in opened.surfaces_mut() {
                 surface.edit_pending &= cancelled_after.is_none_or(|edits| surface.edited > edits);
             }
@@ -183,9 +183,9 @@ impl<B: Backend> Session<B> {
 impl OpenVolume {
     /// Switches to another step of the same volume. The surfaces are made again of that step with unchanged views, and each changes in one
     /// commit.
-    fn step_to(&mut self, volume: VolumeStep, held: Held) {
+    fn step_to(&mut self, volume: VolumeStep, step_guard: OpenStepGuard) {
         self.volume = volume;
-        self.held = held;
+        self.step_guard = step_guard;
         self.step_token = CancellationToken::new();
         self._cancel_step = self.step_token.clone().drop_guard();
         self.undescribed_since = Some(Instant::now());
