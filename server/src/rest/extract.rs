@@ -181,7 +181,7 @@ impl Made {
         // token and ends.
         let token = CancellationToken::new();
         let _cancel = token.clone().drop_guard();
-        let extractor = state.extractor.paid_by(who.limited_user());
+        let extractor = state.extractor.charged_to(who.limited_user());
         let making = Self::make(extractor, source, request, token, permit);
         let (making, spool) = (tokio::spawn(making), state.spool);
         let made = tokio::time::timeout(EXPORT_DEADLINE, making).await.map_err(|_| {

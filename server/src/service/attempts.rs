@@ -1,4 +1,4 @@
-//! Retries a job until it has a result: after its volumes were loaded, as a long job, or on a device that was reopened.
+//! Retries a job until it has a result: after its volumes were loaded or its histograms made, as a long job, or on a reopened device.
 
 use std::pin::Pin;
 
@@ -9,20 +9,20 @@ use tokio_util::sync::CancellationToken;
 use super::scheduler::{Caller, Length};
 use super::worker::DeviceWorker;
 
-/// How often a request's job is queued before it fails with [`WorkError::Busy`]. It is queued again after its volumes were loaded (they are
-/// pinned, but if the device runs out of memory, all volumes except those of the running job are evicted), and after histograms were made.
-/// Jobs of viewers and of caches are retried without a limit.
+/// Maximum attempts at a request's job before it fails with [`WorkError::Busy`]. Loading its volumes once is not always enough: if the
+/// device runs out of memory, all volumes except those of the running job are evicted, even pinned ones. Jobs of viewers and of caches are
+/// retried without a limit.
 const MAX_REQUEST_ATTEMPTS: usize = 6;
 
-/// How often a job is queued again after the device was lost while it ran: a job that loses every device it runs on is given up.
-const MAX_LOSSES: usize = 1;
+/// Maximum retries of a job during which the device was lost, because the job itself may be the cause.
+const MAX_DEVICE_LOSSES: usize = 1;
 
-/// State that earlier attempts at a job, or at slices of work, leave to the next attempt.
+/// State of the retries of a job, or of a sequence of slices of work.
 #[derive(Default)]
-pub(super) struct Failures {
-    /// Keeps the fields that were loaded for the next attempt.
+pub(super) struct Retries {
+    /// Keeps the fields that were loaded for the next attempt resident.
     pin: Option<Pinned>,
-    losses: usize,
+    device_losses: usize,
 }
 
 impl DeviceWorker {
@@ -31,38 +31,39 @@ impl DeviceWorker {
     ///
     /// # Errors
     /// The failure, if another attempt would fail as well.
-    pub(super) async fn after_failure(
+    pub(super) async fn prepare_retry(
         &self,
         volume: &VolumeStep,
         error: JobError,
-        failures: &mut Failures,
+        retries: &mut Retries,
         token: &CancellationToken,
     ) -> Result<(), WorkError> {
         let prepared = match error {
             JobError::NotResident { needed, budget } => {
                 // A caller that waits for pins holds none, so callers cannot deadlock.
-                drop(failures.pin.take());
+                drop(retries.pin.take());
                 let loaded = self.load_pinned(volume, needed, budget, token).await;
-                loaded.map(|pin| failures.pin = Some(pin))
+                loaded.map(|pin| retries.pin = Some(pin))
             }
             JobError::NeedsHistograms(keys) => {
                 // Making histograms pins the fields that they are made of, and a caller that waits for pins must hold none.
-                drop(failures.pin.take());
+                drop(retries.pin.take());
                 self.make_histograms(volume, keys, token).await
             }
             error => Err(error.into()),
         };
         match prepared {
-            Err(WorkError::DeviceLost) if failures.losses < MAX_LOSSES => {
-                failures.losses += 1;
+            Err(WorkError::DeviceLost) if retries.device_losses < MAX_DEVICE_LOSSES => {
+                retries.device_losses += 1;
                 Ok(())
             }
             prepared => prepared,
         }
     }
 
-    /// Runs a job; runs it again after loading volumes that were not resident, as a long job, or on a device that was reopened.
-    pub(super) async fn with_volumes<T, F>(
+    /// Runs a job until it has a result. Retries it after loading volumes that were not resident or making histograms, as a long job if it
+    /// takes long, and on a device that was reopened.
+    pub(super) async fn run_with_retries<T, F>(
         &self,
         volume: &VolumeStep,
         token: &CancellationToken,
@@ -77,18 +78,20 @@ impl DeviceWorker {
             + Send
             + 'static,
     {
-        let mut failures = Failures::default();
+        let mut retries = Retries::default();
         let attempts = match caller {
             Caller::Request => MAX_REQUEST_ATTEMPTS,
             Caller::Viewer | Caller::Cache => usize::MAX,
         };
         for _ in 0..attempts {
             let (job, step) = (job.clone(), volume.clone());
-            let outcome = self.run_when_proven(token, caller, length, move |state, context| job(state, &step, context));
+            let outcome = self.run_when_proven(token, caller, length, move |workspace, context| {
+                job(workspace, &step, context)
+            });
             match outcome.await {
                 Ok(value) => return Ok(value),
                 Err(JobError::TakesLong) => length = caller.long(),
-                Err(error) => self.after_failure(volume, error, &mut failures, token).await?,
+                Err(error) => self.prepare_retry(volume, error, &mut retries, token).await?,
             }
         }
         Err(WorkError::Busy)
@@ -101,7 +104,7 @@ impl DeviceWorker {
         keys: Vec<HistogramKey>,
         token: &'a CancellationToken,
     ) -> Pin<Box<dyn Future<Output = Result<(), WorkError>> + Send + 'a>> {
-        // Boxed because the future is recursive: a histogram takes jobs.
+        // Boxed because the future is recursive: making a histogram runs jobs with retries.
         Box::pin(async move {
             let make = async {
                 for key in keys {

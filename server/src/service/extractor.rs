@@ -33,11 +33,11 @@ impl Extractor {
         }
     }
 
-    /// Returns the same extractor with [`DeviceWorker::paid_by`].
+    /// Returns the same extractor with [`DeviceWorker::charged_to`].
     #[must_use]
-    pub fn paid_by(&self, user: Option<&str>) -> Self {
+    pub fn charged_to(&self, user: Option<&str>) -> Self {
         Self {
-            worker: self.worker.paid_by(user),
+            worker: self.worker.charged_to(user),
             ..self.clone()
         }
     }

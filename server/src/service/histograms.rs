@@ -1,5 +1,5 @@
-//! Histograms, made a slice at a time between other jobs: an edit waits for one slice at most, some milliseconds, however large the volume
-//! is. Callers of the same histogram share the work. It pauses when all of them are gone, and the next caller continues it.
+//! Histograms, made in slices of some milliseconds between other jobs: an edit waits for one slice at most, however large the volume is.
+//! Callers of the same histogram share the work. It pauses when all of them are gone, and the next caller continues it.
 
 use isopeel_extraction::{HistogramKey, JobContext, JobError, WorkError, Workspace};
 use isopeel_kernels::{Histogram, HistogramWork};
@@ -7,7 +7,7 @@ use isopeel_view::FeatureName;
 use isopeel_volumes::VolumeStep;
 use tokio_util::sync::CancellationToken;
 
-use super::attempts::Failures;
+use super::attempts::Retries;
 use super::scheduler::{Caller, Length};
 use super::worker::DeviceWorker;
 use crate::metrics;
@@ -36,13 +36,13 @@ impl DeviceWorker {
             None => self.make_histogram(volume, key).await?,
         };
         if let Some(watch) = &self.watch {
-            watch.made(key);
+            watch.histogram_made(key);
         }
         Ok(histogram)
     }
 
-    /// As [`DeviceWorker::histogram`], if it is cached.
-    pub(super) fn known_histogram(&self, volume: &VolumeStep, field: &str, feature: &FeatureName) -> Option<Histogram> {
+    /// Returns the result of [`DeviceWorker::histogram`] if it is cached.
+    pub(super) fn peek_histogram(&self, volume: &VolumeStep, field: &str, feature: &FeatureName) -> Option<Histogram> {
         let key = HistogramKey::new(volume, field, feature);
         self.shared.histograms.peek(&key)
     }
@@ -50,23 +50,23 @@ impl DeviceWorker {
     async fn make_histogram(&self, volume: &VolumeStep, key: &HistogramKey) -> Result<Histogram, WorkError> {
         let never = CancellationToken::new();
         // Loads the histogram's fields first, so that each caller sees the progress of the loads.
-        let own = key.clone();
-        let require = move |state: &mut Workspace, volume: &VolumeStep, _: &mut JobContext<'_, Workspace>| {
-            state.use_histogram_fields(volume, &own)
+        let histogram_key = key.clone();
+        let require = move |workspace: &mut Workspace, volume: &VolumeStep, _: &mut JobContext<'_, Workspace>| {
+            workspace.use_histogram_fields(volume, &histogram_key)
         };
-        self.with_volumes(volume, &never, Caller::Viewer, Length::Short, require)
+        self.run_with_retries(volume, &never, Caller::Viewer, Length::Short, require)
             .await?;
-        let shared_work = self.shared.unfinished.of(key);
+        let shared_work = self.shared.unfinished_histograms.get_or_begin(key);
         let mut work = shared_work.lock().await;
-        let mut failures = Failures::default();
+        let mut retries = Retries::default();
         loop {
             match self.histogram_slice(volume, key, &work).await {
-                Ok((more, None)) => *work = more,
+                Ok((remaining, None)) => *work = remaining,
                 Ok((_, Some(histogram))) => {
-                    self.shared.unfinished.forget(key);
+                    self.shared.unfinished_histograms.remove(key);
                     return Ok(histogram);
                 }
-                Err(error) => self.after_failure(volume, error, &mut failures, &never).await?,
+                Err(error) => self.prepare_retry(volume, error, &mut retries, &never).await?,
             }
         }
     }
@@ -79,8 +79,8 @@ impl DeviceWorker {
         work: &HistogramWork,
     ) -> Result<(HistogramWork, Option<Histogram>), JobError> {
         let (volume, key, mut work) = (volume.clone(), key.clone(), work.clone());
-        self.run_slice(Caller::Viewer, move |state| {
-            let histogram = state.continue_histogram(&volume, &key, &mut work)?;
+        self.run_slice(Caller::Viewer, move |workspace| {
+            let histogram = workspace.continue_histogram(&volume, &key, &mut work)?;
             Ok((work, histogram))
         })
         .await

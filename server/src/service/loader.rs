@@ -1,4 +1,4 @@
-//! Loads fields onto the device: files are read on tokio's blocking pool, never on the device's thread, and sent there in pieces.
+//! Loads fields onto the device. Files are read on tokio's blocking pool, never on the device's thread, and uploaded in pieces.
 
 use std::pin::Pin;
 use std::sync::Arc;
@@ -18,48 +18,48 @@ use crate::pool::ReadPool;
 /// Why a field is loaded.
 #[derive(Clone, Copy)]
 enum Purpose {
-    /// A caller waits for it.
+    /// A caller waits for the field.
     Now,
-    /// Read-ahead: a caller may need it later.
+    /// Read-ahead: a caller may need the field later.
     Ahead { budget: u64 },
 }
 
 impl DeviceWorker {
-    /// Makes a field resident. Loads are single-flight: callers of the same field wait for one load. When the last caller has given up, the
-    /// load continues for a while and is then cancelled.
+    /// Makes a field resident. Loads are single-flight: callers of the same field wait for one load. If all callers give up, the load is
+    /// cancelled after a while.
     pub(super) async fn load(&self, volume: &VolumeStep, key: VolumeKey) -> Result<(), WorkError> {
-        let load = self.shared.loads.of(&key);
+        let load = self.shared.loads.get_or_insert(&key);
         let _waiting = load.wait();
-        let free = Arc::clone(&load.turn).try_lock_owned();
-        if free.is_ok() {
+        let running = Arc::clone(&load.running).try_lock_owned();
+        if running.is_ok() {
             load.progress.restart();
         }
         if let Some(watch) = &self.watch {
-            watch.follow(&key, &load.progress);
+            watch.load_requested(&key, &load.progress);
         }
-        let guard = match free {
-            Ok(guard) => guard,
+        let running = match running {
+            Ok(running) => running,
             Err(_) => {
-                let guard = Arc::clone(&load.turn).lock_owned().await;
+                let running = Arc::clone(&load.running).lock_owned().await;
                 load.progress.restart();
-                guard
+                running
             }
         };
-        let (worker, volume, loaded, progress) =
-            (self.clone(), volume.clone(), key.clone(), Arc::clone(&load.progress));
+        let (worker, volume, task_key) = (self.clone(), volume.clone(), key.clone());
+        let progress = Arc::clone(&load.progress);
         let task = tokio::spawn(async move {
-            let _guard = guard;
-            worker.load_locked(&volume, key, progress, Purpose::Now).await
+            let _running = running;
+            worker.load_locked(&volume, task_key, progress, Purpose::Now).await
         });
         let outcome = task.await.unwrap_or(Err(WorkError::Stopped));
         if let (Ok(()), Some(watch)) = (&outcome, &self.watch) {
-            watch.loaded(&loaded);
+            watch.field_loaded(&key);
         }
         outcome
     }
 
-    /// Makes a field resident before a viewer needs it, unless a load of it is running already. Callers that need it meanwhile wait for
-    /// this load.
+    /// Makes a field resident before a viewer needs it, unless a load of it is running already. Callers that need the field meanwhile wait
+    /// for this load, and keep it running if `token` is cancelled.
     pub(super) async fn load_ahead(
         &self,
         volume: &VolumeStep,
@@ -67,21 +67,21 @@ impl DeviceWorker {
         budget: u64,
         token: &CancellationToken,
     ) -> Result<(), WorkError> {
-        let load = self.shared.loads.of(&key);
-        let Ok(guard) = Arc::clone(&load.turn).try_lock_owned() else {
+        let load = self.shared.loads.get_or_insert(&key);
+        let Ok(running) = Arc::clone(&load.running).try_lock_owned() else {
             return Ok(());
         };
         load.progress.restart();
         let (worker, volume, token) = (self.clone(), volume.clone(), token.clone());
         let task = tokio::spawn(async move {
-            let _guard = guard;
+            let _running = running;
             let waiting = load.wait();
             let purpose = Purpose::Ahead { budget };
             let work = worker.load_locked(&volume, key, Arc::clone(&load.progress), purpose);
             tokio::pin!(work);
             tokio::select! {
                 outcome = &mut work => return outcome,
-                // The load continues for other callers that wait for it.
+                // The load continues as long as other callers wait for it.
                 () = token.cancelled() => drop(waiting),
             }
             work.await
@@ -89,6 +89,7 @@ impl DeviceWorker {
         task.await.unwrap_or(Err(WorkError::Stopped))
     }
 
+    /// Computes a field on the device, or reads it, unless it is resident. The caller holds the lock of the load.
     async fn load_locked(
         &self,
         volume: &VolumeStep,
@@ -96,18 +97,18 @@ impl DeviceWorker {
         progress: Arc<ReadProgress>,
         purpose: Purpose,
     ) -> Result<(), WorkError> {
-        let asked = key.clone();
-        if self.on_device(move |state| Ok(state.is_resident(&asked))).await? {
+        let resident_key = key.clone();
+        let is_resident = self.run_short(move |workspace| Ok(workspace.is_resident(&resident_key)));
+        if is_resident.await? {
             return Ok(());
         }
-        let is_made = matches!(purpose, Purpose::Now) && key.is_computed(volume);
-        if is_made && self.compute(volume, key.clone(), Arc::clone(&progress)).await? {
+        let is_computed = matches!(purpose, Purpose::Now) && key.is_computed(volume);
+        if is_computed && self.compute(volume, key.clone(), Arc::clone(&progress)).await? {
             return Ok(());
         }
         let permits = Arc::clone(&self.shared.loads.permits);
         let _permit = permits.acquire_owned().await.map_err(|_| WorkError::Stopped)?;
         match self.transfer(volume, &key, &progress, purpose).await {
-            // Retry: the samples need another type, or the file changed while it was read.
             Err(WorkError::Unreadable(error)) if error.can_retry => {
                 progress.restart();
                 self.transfer(volume, &key, &progress, purpose).await
@@ -116,7 +117,7 @@ impl DeviceWorker {
         }
     }
 
-    /// Reads a field and sends it to the device.
+    /// Reads a field, uploads it, and makes its table of minima and maxima. If that fails, the partial upload is dropped.
     async fn transfer(
         &self,
         volume: &VolumeStep,
@@ -128,52 +129,44 @@ impl DeviceWorker {
         let grid = Arc::new(padded_grid(volume, key.padded)?);
         self.admit(volume, &key, purpose).await?;
         let (sender, pieces) = mpsc::channel(1);
-        let (of_read, volume_read) = (key.clone(), volume.clone());
-        // Sending fails if the receiver is gone, because the device failed or had no space.
+        let (read_volume, read_key) = (volume.clone(), key.clone());
+        // If the upload fails or has no space, the receiver is gone. Sending then fails, which ends the reading.
         let mut send = move |piece| sender.blocking_send(piece).is_ok();
-        let read = move || read(&volume_read, &of_read, &progress, &mut send);
+        let read = move || read(&read_volume, &read_key, &progress, &mut send);
         let reading = tokio::task::spawn_blocking(|| ReadPool::start().run(read));
         let uploaded = self.upload_pieces(&key, grid, pieces, purpose).await;
         let read = reading.await.unwrap_or(Err(WorkError::Stopped));
-        // If the device failed or had no space, reading was cancelled.
-        let loaded = match uploaded {
-            Ok(false) => return Ok(()),
-            Ok(true) => read,
-            Err(error) => Err(error),
+        let loaded = match (uploaded, read) {
+            (Ok(false), _) => return Ok(()),
+            (Ok(true), Ok(())) => self.make_table(&key).await,
+            (Err(error), _) | (Ok(true), Err(error)) => Err(error),
         };
-        let loaded = match loaded {
-            Ok(()) => self.make_table(&key).await,
-            failed => failed,
-        };
-        match loaded {
-            Ok(()) => {
-                let ahead = matches!(purpose, Purpose::Ahead { .. });
-                self.on_device(move |state| state.finish_upload(key, ahead)).await
-            }
-            Err(error) => {
-                let dropped = self.on_device(move |state| {
-                    state.drop_upload(&key);
-                    Ok(())
-                });
-                dropped.await?;
-                Err(error)
-            }
+        if let Err(error) = loaded {
+            let dropped = self.run_short(move |workspace| {
+                workspace.drop_upload(&key);
+                Ok(())
+            });
+            dropped.await?;
+            return Err(error);
         }
+        let is_ahead = matches!(purpose, Purpose::Ahead { .. });
+        self.run_short(move |workspace| workspace.finish_upload(key, is_ahead))
+            .await
     }
 
-    /// Makes the min/max table of an uploaded field, a slice at a time between other jobs.
+    /// Makes the table of minima and maxima of an uploaded field, in slices between other jobs.
     async fn make_table(&self, key: &VolumeKey) -> Result<(), WorkError> {
         loop {
             let key = key.clone();
-            let slice = self.run_slice(Caller::Cache, move |state| state.continue_table(&key));
+            let slice = self.run_slice(Caller::Cache, move |workspace| workspace.continue_table(&key));
             if slice.await? {
                 return Ok(());
             }
         }
     }
 
-    /// Computes a field on the device from others, which are loaded if they are not resident. Waiting callers have pinned all of them. A
-    /// while after the last caller is gone, `progress` is cancelled, which ends the computation. Returns false if the host has to mask the
+    /// Computes a field on the device from others, which are loaded if they are not resident. The callers that wait have pinned them. If
+    /// all callers give up, `progress` is cancelled after a while, which ends the computation. Returns false if the host has to mask the
     /// field.
     fn compute<'a>(
         &'a self,
@@ -184,18 +177,18 @@ impl DeviceWorker {
         // Boxed because the future is recursive.
         Box::pin(async move {
             let (never, payer) = (CancellationToken::new(), self.payer.clone());
-            self.with_volumes(
+            self.run_with_retries(
                 volume,
                 &never,
                 Caller::Cache,
                 Length::Field,
-                move |state, volume, context| state.compute(volume, &key, &progress, payer.as_ref(), context),
+                move |workspace, volume, context| workspace.compute(volume, &key, &progress, payer.as_ref(), context),
             )
             .await
         })
     }
 
-    /// Makes sure that the host has memory for a field before it is read. If a caller waits for the field, evicts caches to make space.
+    /// Fails unless the host has memory to read a field. If a caller waits for the field, first evicts caches to make space.
     async fn admit(&self, volume: &VolumeStep, key: &VolumeKey, purpose: Purpose) -> Result<(), WorkError> {
         let needed = bytes_while_read(volume, key, self.ready().await?.kind)?;
         match purpose {
@@ -204,8 +197,7 @@ impl DeviceWorker {
         }
     }
 
-    /// Sends the pieces of a field to the device as they arrive. Returns false if a field that is read ahead has no space: the rest of it
-    /// is not read.
+    /// Uploads the pieces of a field as they arrive. Returns false, and drops the other pieces, if a field that is read ahead has no space.
     async fn upload_pieces(
         &self,
         key: &VolumeKey,
@@ -213,26 +205,26 @@ impl DeviceWorker {
         mut pieces: mpsc::Receiver<Piece>,
         purpose: Purpose,
     ) -> Result<bool, WorkError> {
-        let mut is_first = true;
+        let mut first_for = Some(purpose);
         while let Some(Piece { samples, missing }) = pieces.recv().await {
             let (key, grid, is_used) = (key.clone(), Arc::clone(&grid), self.is_open());
-            let begins = std::mem::take(&mut is_first);
-            let upload = self.on_device(move |state| {
+            let first_for = first_for.take();
+            let upload = self.run_short(move |workspace| {
                 let sample_type = samples.sample_type();
-                let has_space = match purpose {
-                    _ if !begins => true,
-                    Purpose::Now => state
-                        .begin_upload(key.clone(), &grid, sample_type, missing)
-                        .map(|()| true)?,
-                    Purpose::Ahead { budget } => {
-                        state.begin_upload_ahead(&key, &grid, sample_type, missing, budget, &is_used)?
+                let has_space = match first_for {
+                    None => true,
+                    Some(Purpose::Now) => {
+                        workspace.begin_upload(key.clone(), &grid, sample_type, missing)?;
+                        true
+                    }
+                    Some(Purpose::Ahead { budget }) => {
+                        workspace.begin_upload_ahead(&key, &grid, sample_type, missing, budget, &is_used)?
                     }
                 };
-                if !has_space {
-                    return Ok(false);
+                if has_space {
+                    workspace.continue_upload(&key, &samples)?;
                 }
-                state.continue_upload(&key, &samples)?;
-                Ok(true)
+                Ok(has_space)
             });
             if !upload.await? {
                 return Ok(false);
@@ -242,12 +234,12 @@ impl DeviceWorker {
     }
 
     /// Runs a short job, which is finished even if its caller is gone.
-    async fn on_device<T: Send + 'static>(
+    async fn run_short<T: Send + 'static>(
         &self,
         job: impl FnOnce(&mut Workspace) -> Result<T, JobError> + Send + 'static,
     ) -> Result<T, WorkError> {
         let never = CancellationToken::new();
-        let work = move |state: &mut Workspace, _: &mut JobContext<'_, Workspace>| job(state);
+        let work = move |workspace: &mut Workspace, _: &mut JobContext<'_, Workspace>| job(workspace);
         Ok(self.run(&never, Caller::Cache, Length::Short, work).await?)
     }
 }

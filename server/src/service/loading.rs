@@ -22,7 +22,7 @@ const MAX_IDLE: usize = 4096;
 /// How long a load continues without waiting callers, because an edit in that time may need the same field again.
 const LINGER: Duration = Duration::from_secs(2);
 
-/// The loads of all fields.
+/// The running and earlier loads of all fields.
 pub(super) struct Loads {
     /// One entry for each field that was loaded. Entries stay until there are too many.
     fields: Mutex<HashMap<VolumeKey, Arc<FieldLoad>>>,
@@ -38,7 +38,7 @@ impl Loads {
     }
 
     /// Returns the load of a field, with its progress.
-    pub(super) fn of(&self, key: &VolumeKey) -> Arc<FieldLoad> {
+    pub(super) fn get_or_insert(&self, key: &VolumeKey) -> Arc<FieldLoad> {
         let mut fields = lock(&self.fields);
         if fields.len() >= MAX_IDLE && !fields.contains_key(key) {
             // Keeps the loads that are in use.
@@ -52,7 +52,7 @@ impl Loads {
 #[derive(Default)]
 pub(super) struct FieldLoad {
     /// Held by the caller that loads the field, so that concurrent callers load it once.
-    pub turn: Arc<tokio::sync::Mutex<()>>,
+    pub running: Arc<tokio::sync::Mutex<()>>,
     /// Progress of the running load, or of the last one.
     pub progress: Arc<ReadProgress>,
     /// Number of callers that wait for this load.
@@ -77,7 +77,7 @@ impl FieldLoad {
 impl Drop for Waiting {
     fn drop(&mut self) {
         let is_last = self.0.waiting.fetch_sub(1, Ordering::Relaxed) == 1;
-        let is_running = self.0.turn.try_lock().is_err();
+        let is_running = self.0.running.try_lock().is_err();
         if is_last
             && is_running
             && let Ok(runtime) = tokio::runtime::Handle::try_current()
@@ -171,13 +171,13 @@ impl OpeningWatch {
         }
     }
 
-    /// Records that a field is being loaded.
-    pub(super) fn follow(&self, key: &VolumeKey, progress: &Arc<ReadProgress>) {
+    /// Records that a field is being loaded, with the progress of the load.
+    pub(super) fn load_requested(&self, key: &VolumeKey, progress: &Arc<ReadProgress>) {
         self.with_load(key, |load| load.progress = Some(Arc::clone(progress)));
     }
 
     /// Records that a field is resident.
-    pub(super) fn loaded(&self, key: &VolumeKey) {
+    pub(super) fn field_loaded(&self, key: &VolumeKey) {
         self.with_load(key, |load| load.finished = true);
     }
 
@@ -191,7 +191,7 @@ impl OpeningWatch {
     }
 
     /// Records that a histogram has been made.
-    pub(super) fn made(&self, key: &HistogramKey) {
+    pub(super) fn histogram_made(&self, key: &HistogramKey) {
         for field in lock(&self.fields).iter_mut() {
             let before = field.histograms.len();
             field.histograms.retain(|histogram| histogram != key);

@@ -24,16 +24,16 @@ pub(super) struct OverviewKey {
 pub(super) struct Overviews {
     cached: Mutex<Lru<OverviewKey, Arc<Overview>>>,
     /// Unfinished work by key, at most 24 MiB each. The callers own it, so it ends with the last of them.
-    unfinished: Mutex<HashMap<OverviewKey, Weak<Unfinished>>>,
+    unfinished: Mutex<HashMap<OverviewKey, Weak<UnfinishedOverview>>>,
 }
 
 /// Work on an overview, shared by all callers of its key.
-pub(super) struct Unfinished {
+pub(super) struct UnfinishedOverview {
     pub work: Mutex<OverviewWork>,
-    /// Locked by the caller who continues the work; the others wait for the result, or for their turn if that caller leaves.
-    pub turn: tokio::sync::Mutex<()>,
+    /// Held by the caller that runs the work. The others wait for the result; if that caller leaves, one of them continues.
+    pub running: tokio::sync::Mutex<()>,
     /// Permit to make this overview, which is released when the last caller is gone.
-    _place: Box<dyn Send + Sync>,
+    _permit: Box<dyn Send + Sync>,
 }
 
 impl Default for Overviews {
@@ -50,7 +50,7 @@ impl Overviews {
         lock(&self.cached).get(key).cloned()
     }
 
-    pub(super) fn keep(&self, key: OverviewKey, overview: &Arc<Overview>) {
+    pub(super) fn insert(&self, key: OverviewKey, overview: &Arc<Overview>) {
         lock(&self.cached).insert(key, overview.codes.len() as u64, Arc::clone(overview));
     }
 
@@ -63,16 +63,16 @@ impl Overviews {
         key: &OverviewKey,
         samples: [u32; 3],
         admit: impl FnOnce() -> Result<P, E>,
-    ) -> Result<Arc<Unfinished>, E> {
+    ) -> Result<Arc<UnfinishedOverview>, E> {
         let mut all = lock(&self.unfinished);
         all.retain(|_, unfinished| unfinished.strong_count() > 0);
         if let Some(unfinished) = all.get(key).and_then(Weak::upgrade) {
             return Ok(unfinished);
         }
-        let unfinished = Arc::new(Unfinished {
-            _place: Box::new(admit()?),
+        let unfinished = Arc::new(UnfinishedOverview {
+            _permit: Box::new(admit()?),
             work: Mutex::new(OverviewWork::new(samples, key.mode, OVERVIEW_SIDE)),
-            turn: tokio::sync::Mutex::default(),
+            running: tokio::sync::Mutex::default(),
         });
         all.insert(key.clone(), Arc::downgrade(&unfinished));
         Ok(unfinished)
@@ -128,7 +128,7 @@ mod tests {
             codes: vec![0; OVERVIEW_SIDE.pow(3) as usize],
         });
         for n in 0..20 {
-            overviews.keep(key(&format!("{n}*density")), &overview);
+            overviews.insert(key(&format!("{n}*density")), &overview);
         }
         assert_eq!(lock(&overviews.cached).entries(), 16);
         assert!(overviews.cached(&key("19*density")).is_some());

@@ -7,16 +7,16 @@ use isopeel_kernels::{Overview, OverviewMode};
 use isopeel_volumes::VolumeStep;
 use tokio_util::sync::CancellationToken;
 
-use super::attempts::Failures;
-use super::overview_cache::{OverviewKey, Unfinished};
+use super::attempts::Retries;
+use super::overview_cache::{OverviewKey, UnfinishedOverview};
 use super::scheduler::{Caller, Length};
 use super::worker::DeviceWorker;
 use crate::{metrics, pool};
 
 impl DeviceWorker {
     /// Returns a field, or an expression over fields, at a low resolution. Loads or computes the field if it is not on the device. The
-    /// result is cached. Dropping the future ends the work, unless another caller waits for the same overview. `admit` returns the permit
-    /// to make an overview; it is called only if the overview is neither cached nor being made.
+    /// result is cached. Dropping the future ends the work, unless another caller waits for the same overview. If the overview is
+    /// neither cached nor being made, `admit` is called for a permit to make it.
     ///
     /// # Errors
     /// [`WorkError`], but never `Cancelled`; those of `admit`.
@@ -38,40 +38,42 @@ impl DeviceWorker {
             return Ok(overview);
         }
         let unfinished = overviews.unfinished(&key, volume.dataset().geometry.dims, admit)?;
-        let _turn = unfinished.turn.lock().await;
+        let _running = unfinished.running.lock().await;
         // Another caller may have finished it meanwhile.
         if let Some(overview) = overviews.cached(&key) {
             return Ok(overview);
         }
-        self.work_on_overview(volume, &key.volume, &unfinished).await?;
-        let finished = Arc::clone(&unfinished);
-        let complete = pool::run(move || lock(&finished.work).complete()).await;
-        let overview = Arc::new(complete.ok().flatten().ok_or(WorkError::Stopped)?);
-        overviews.keep(key, &overview);
+        self.run_overview_slices(volume, &key.volume, &unfinished).await?;
+        let complete = Arc::clone(&unfinished);
+        let overview = pool::run(move || lock(&complete.work).complete()).await;
+        let overview = Arc::new(overview.ok().flatten().ok_or(WorkError::Stopped)?);
+        overviews.insert(key, &overview);
         Ok(overview)
     }
 
-    async fn work_on_overview(
+    /// Runs the device's part of the work on an overview.
+    async fn run_overview_slices(
         &self,
         volume: &VolumeStep,
         key: &VolumeKey,
-        unfinished: &Arc<Unfinished>,
+        unfinished: &Arc<UnfinishedOverview>,
     ) -> Result<(), WorkError> {
         let never = CancellationToken::new();
-        let own = key.clone();
-        let require = move |state: &mut Workspace, volume: &VolumeStep, _: &mut JobContext<'_, Workspace>| {
-            state.use_field(volume, &own)
+        let field_key = key.clone();
+        let require = move |workspace: &mut Workspace, volume: &VolumeStep, _: &mut JobContext<'_, Workspace>| {
+            workspace.use_field(volume, &field_key)
         };
-        self.with_volumes(volume, &never, Caller::Request, Length::Short, require)
+        self.run_with_retries(volume, &never, Caller::Request, Length::Short, require)
             .await?;
-        let mut failures = Failures::default();
+        let mut retries = Retries::default();
         loop {
-            let (volume_step, key, own) = (volume.clone(), key.clone(), Arc::clone(unfinished));
-            let slice = move |state: &mut Workspace| state.continue_overview(&volume_step, &key, &mut lock(&own.work));
+            let (step, key, unfinished) = (volume.clone(), key.clone(), Arc::clone(unfinished));
+            let slice =
+                move |workspace: &mut Workspace| workspace.continue_overview(&step, &key, &mut lock(&unfinished.work));
             match self.run_slice(Caller::Request, slice).await {
                 Ok(true) => return Ok(()),
                 Ok(false) => {}
-                Err(error) => self.after_failure(volume, error, &mut failures, &never).await?,
+                Err(error) => self.prepare_retry(volume, error, &mut retries, &never).await?,
             }
         }
     }

@@ -28,6 +28,6 @@ impl DeviceWorker {
             Question::VertexErrors(_) => Length::Rest,
             Question::Probe(_) | Question::Distribution(_) | Question::Curve => Length::Short,
         };
-        self.with_volumes(volume, token, Caller::Viewer, length, job).await
+        self.run_with_retries(volume, token, Caller::Viewer, length, job).await
     }
 }

@@ -1,4 +1,4 @@
-//! Samples of a field, as they are on the device.
+//! Reads samples of a field back from the device: all of them, or a plane.
 
 use isopeel_extraction::{JobContext, Slice, VolumeKey, WorkError, Workspace};
 use isopeel_kernels::{SampleType, Samples};
@@ -8,12 +8,12 @@ use tokio_util::sync::CancellationToken;
 use super::scheduler::{Caller, Length};
 use super::worker::DeviceWorker;
 
-/// Samples that are copied in one job: other jobs may run between two copies.
-const COPIED_SAMPLES: u64 = 16 << 20;
+/// Approximate number of samples that one job copies. Other jobs may run between two copies.
+const SAMPLES_PER_COPY: u64 = 16 << 20;
 
 impl DeviceWorker {
-    /// Returns all samples of a field, or of an expression over fields, in pieces of whole planes across z. Also returns the number of
-    /// planes of a piece; the last one may have fewer. Loads or computes fields that are not on the device.
+    /// Returns all samples of a field, or of an expression over fields, in pieces of whole planes across z, and the number of planes of a
+    /// piece. The last piece may have fewer. Loads or computes fields that are not on the device.
     ///
     /// # Errors
     /// [`WorkError`].
@@ -24,28 +24,26 @@ impl DeviceWorker {
         token: &CancellationToken,
     ) -> Result<(Vec<Samples>, u32), WorkError> {
         let [width, height, depth] = volume.dataset().geometry.dims;
-        let plane = u64::from(width) * u64::from(height);
-        let sample_type = volume
-            .dataset()
-            .field(field)
-            .map_or(SampleType::F32, |field| field.sample_type);
-        self.make_host_space(plane * u64::from(depth) * sample_type.bytes() as u64)
-            .await?;
-        let planes = (COPIED_SAMPLES / plane).clamp(1, depth.into()) as u32;
+        let plane_samples = u64::from(width) * u64::from(height);
+        let field_info = volume.dataset().field(field);
+        let sample_type = field_info.map_or(SampleType::F32, |field| field.sample_type);
+        let bytes = plane_samples * u64::from(depth) * sample_type.bytes() as u64;
+        self.make_host_space(bytes).await?;
+        let piece_planes = (SAMPLES_PER_COPY / plane_samples).clamp(1, depth.into()) as u32;
         let mut pieces = Vec::new();
-        for first in (0..depth).step_by(planes as usize) {
+        for first in (0..depth).step_by(piece_planes as usize) {
             let key = VolumeKey::new(volume, field, false);
             let job = move |workspace: &mut Workspace, volume: &VolumeStep, _: &mut JobContext<'_, Workspace>| {
-                workspace.samples(volume, &key, first..depth.min(first + planes))
+                workspace.samples(volume, &key, first..depth.min(first + piece_planes))
             };
-            let piece = self.with_volumes(volume, token, Caller::Request, Length::Short, job);
+            let piece = self.run_with_retries(volume, token, Caller::Request, Length::Short, job);
             pieces.push(piece.await?);
         }
-        Ok((pieces, planes))
+        Ok((pieces, piece_planes))
     }
 
-    /// Returns the plane of a field across an axis (0 to 2). Loads the field if it is not on the device. Dropping the future cancels the
-    /// work.
+    /// Returns the plane `index` of a field across an axis (0 to 2). Loads the field if it is not on the device. Dropping the future cancels
+    /// the work.
     ///
     /// # Errors
     /// [`WorkError`].
@@ -55,7 +53,7 @@ impl DeviceWorker {
             workspace.slice(volume, &key, axis, index)
         };
         let never = CancellationToken::new();
-        self.with_volumes(volume, &never, Caller::Request, Length::Short, job)
+        self.run_with_retries(volume, &never, Caller::Request, Length::Short, job)
             .await
     }
 }

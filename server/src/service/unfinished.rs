@@ -9,15 +9,15 @@ use isopeel_kernels::HistogramWork;
 /// Maximum number of partial histograms, 4 KiB each, including those without a caller.
 const MAX_UNFINISHED: usize = 256;
 
-/// Histograms in the making.
+/// Histograms that are being made.
 #[derive(Default)]
-pub(super) struct Unfinished {
+pub(super) struct UnfinishedHistograms {
     works: Mutex<HashMap<HistogramKey, Arc<tokio::sync::Mutex<HistogramWork>>>>,
 }
 
-impl Unfinished {
+impl UnfinishedHistograms {
     /// Returns the work on a histogram. The caller that continues the work holds its lock.
-    pub(super) fn of(&self, key: &HistogramKey) -> Arc<tokio::sync::Mutex<HistogramWork>> {
+    pub(super) fn get_or_begin(&self, key: &HistogramKey) -> Arc<tokio::sync::Mutex<HistogramWork>> {
         let mut works = lock(&self.works);
         if works.len() >= MAX_UNFINISHED && !works.contains_key(key) {
             works.retain(|_, work| Arc::strong_count(work) > 1);
@@ -25,7 +25,7 @@ impl Unfinished {
         Arc::clone(works.entry(key.clone()).or_default())
     }
 
-    pub(super) fn forget(&self, key: &HistogramKey) {
+    pub(super) fn remove(&self, key: &HistogramKey) {
         lock(&self.works).remove(key);
     }
 }
@@ -42,14 +42,14 @@ mod tests {
         let dataset = Arc::new(testing::dataset("head", [5, 6, 7], &["density"]));
         let volume = VolumeStep::new(dataset, 0).expect("a step");
         let key = |n: usize| HistogramKey::new(&volume, &format!("{n}*density"), &FeatureName::None);
-        let unfinished = Unfinished::default();
-        let held = unfinished.of(&key(0));
+        let unfinished = UnfinishedHistograms::default();
+        let held = unfinished.get_or_begin(&key(0));
         for n in 1..3 * MAX_UNFINISHED {
-            unfinished.of(&key(n));
+            unfinished.get_or_begin(&key(n));
         }
         assert!(lock(&unfinished.works).len() <= MAX_UNFINISHED);
-        assert!(Arc::ptr_eq(&held, &unfinished.of(&key(0))));
-        unfinished.forget(&key(0));
-        assert!(!Arc::ptr_eq(&held, &unfinished.of(&key(0))));
+        assert!(Arc::ptr_eq(&held, &unfinished.get_or_begin(&key(0))));
+        unfinished.remove(&key(0));
+        assert!(!Arc::ptr_eq(&held, &unfinished.get_or_begin(&key(0))));
     }
 }

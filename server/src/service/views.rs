@@ -97,7 +97,7 @@ impl DeviceWorker {
         token: &CancellationToken,
     ) -> Result<Extraction, WorkError> {
         let view = view.clone();
-        self.with_volumes(
+        self.run_with_retries(
             volume,
             token,
             caller,
@@ -164,7 +164,7 @@ impl DeviceWorker {
         .await
     }
 
-    /// As [`DeviceWorker::with_volumes`], for a job on a view, which it fills in: each attempt begins with the view as it was given.
+    /// As [`DeviceWorker::run_with_retries`], for a job on a view, which it fills in: each attempt begins with the view as it was given.
     async fn with_view<T, F>(
         &self,
         volume: &VolumeStep,
@@ -181,7 +181,7 @@ impl DeviceWorker {
             + 'static,
     {
         let view = view.clone();
-        self.with_volumes(volume, token, caller, length, move |workspace, volume, context| {
+        self.run_with_retries(volume, token, caller, length, move |workspace, volume, context| {
             job(workspace, volume, &mut view.clone(), context)
         })
         .await

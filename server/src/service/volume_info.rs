@@ -340,7 +340,7 @@ async fn derived_info(
     let histogram = if ALWAYS_DESCRIBED.contains(&feature) {
         Some(worker.histogram(volume, &field.name, &name).await?)
     } else {
-        worker.known_histogram(volume, &field.name, &name)
+        worker.peek_histogram(volume, &field.name, &name)
     };
     let unit = derived_unit(feature, field.unit.as_deref(), length_of(volume));
     Ok(DerivedInfo::new(unit, histogram))
@@ -358,7 +358,7 @@ fn vector_infos(worker: &DeviceWorker, volume: &VolumeStep) -> Vec<VectorInfo> {
             (feature, name)
         });
         let features = names.map(|(feature, name)| {
-            let histogram = worker.known_histogram(volume, &components[0], &name);
+            let histogram = worker.peek_histogram(volume, &components[0], &name);
             let unit = unit.map(|unit| vector_unit(feature, unit, length_of(volume)));
             (name.as_str().to_owned(), DerivedInfo::new(unit, histogram))
         });

@@ -1,8 +1,8 @@
-//! The bounded queue to the thread that owns the device.
+//! Handles to the thread that owns the device, and the bounded queue of its jobs.
 //!
-//! The OpenCL context stays on one named thread; [`DeviceWorker`] is a cheap handle to it. The queue is first in, first out, and a job is
-//! short (one slice of a histogram, one prefix). A caller queues a new job for each further prefix, so viewers take turns and none starves.
-//! A long job, such as building a vertex tree, measuring an error or an export, pauses for waiting jobs (`scheduler`).
+//! The OpenCL context stays on one named thread; [`DeviceWorker`] is a cheap handle to it. The queue is first in, first out. Most jobs are
+//! short: one slice of a histogram, one prefix. A viewer queues a new job for each further prefix, so that viewers take turns and none
+//! starves. A long job, such as building a vertex tree, measuring an error or an export, pauses for waiting jobs (`scheduler`).
 //!
 //! Files are read on tokio's blocking pool, never on the device's thread: a job whose volumes are not resident fails with
 //! [`JobError::NotResident`]. Its caller then loads the volumes and queues the job again.
@@ -27,22 +27,22 @@ use super::open_steps::AheadState;
 use super::overview_cache::Overviews;
 use super::pins::WaitingPins;
 use super::scheduler::{Caller, Job, Length, PausedQueue, Permits, Queue, Token, job_labels};
-use super::unfinished::Unfinished;
+use super::unfinished::UnfinishedHistograms;
 use crate::device::Proven;
 use crate::metrics;
 
-/// Maximum number of waiting jobs. At the 50 ms of a typical prefix a full queue is 3 s of work; further requests are refused as busy, and
+/// Maximum number of waiting jobs: some 3 s of work, at 50 ms for a typical prefix. If the queue is full, requests are refused as busy, and
 /// viewers wait.
 pub const QUEUED_JOBS: usize = 64;
 
-/// Maximum number of viewers' jobs in the queue: the other half is left for REST.
-const VIEWERS_JOBS: usize = QUEUED_JOBS / 2;
+/// Maximum number of viewers' short jobs in the queue: the other half is left for REST.
+const VIEWER_JOBS: usize = QUEUED_JOBS / 2;
 
-/// How long the result of a probe is reused.
-const ANSWER_AGE: Duration = Duration::from_secs(1);
+/// How long a successful probe of the device counts.
+const PROBE_LIFETIME: Duration = Duration::from_secs(1);
 
-/// How often the end of the thread is polled.
-const END_INTERVAL: Duration = Duration::from_millis(5);
+/// Interval at which [`DeviceWorker::end_within`] polls whether the thread has ended.
+const END_POLL_INTERVAL: Duration = Duration::from_millis(5);
 
 /// Stack of the device's thread. Drivers for CPUs run kernels on it, some of which have 3 MB of private variables with Intel's runtime.
 const STACK_BYTES: usize = 16 << 20;
@@ -51,7 +51,7 @@ const STACK_BYTES: usize = 16 << 20;
 #[derive(Clone)]
 pub struct DeviceWorker {
     pub(super) shared: Arc<Shared>,
-    /// Observes the jobs of this handle.
+    /// Observes the progress of this handle's jobs while a volume is opened.
     pub(super) watch: Option<Arc<OpeningWatch>>,
     /// The user who is charged for computing fields with this handle.
     pub(super) payer: Option<Payer>,
@@ -65,19 +65,19 @@ pub(super) struct Shared {
     /// Number of the engine, set by the thread.
     engine: Arc<AtomicU64>,
     pub histograms: HistogramCache,
-    pub unfinished: Unfinished,
+    pub unfinished_histograms: UnfinishedHistograms,
     pub overviews: Overviews,
-    /// Held while a slice of work on a whole volume is queued: edits wait for at most one slice, and callers take turns.
-    pub slices: Semaphore,
-    /// Time of the last successful probe.
-    last_answer: tokio::sync::Mutex<Option<Instant>>,
+    /// Permit to queue a slice of work on a whole volume: edits wait for at most one slice, and callers take turns.
+    slice_permit: Semaphore,
+    /// Time of the last successful probe. Locked during a probe, so that other callers wait for its result.
+    last_probe: tokio::sync::Mutex<Option<Instant>>,
     user_times: Arc<UserTimes>,
     pub loads: Loads,
     pub ahead: AheadState,
     permits: Permits,
-    /// Shared with the thread, which evicts.
+    /// Shared with the thread, which evicts volumes that are not pinned.
     pub pins: WaitingPins,
-    /// Shared with the thread: the programs that have passed the device's check so far; set if it is still running when the device is opened.
+    /// Programs that have passed the check so far. Set by the thread if the check is still running when the device is opened.
     proven: Arc<OnceLock<Arc<Proven>>>,
     thread: Option<JoinHandle<()>>,
 }
@@ -117,9 +117,9 @@ impl DeviceWorker {
             request_time,
             user_time,
         } = options;
-        let (jobs, waiting) = mpsc::channel::<Job<Workspace>>(QUEUED_JOBS);
-        let (state, watched) = watch::channel(DeviceState::Opening(Preparation::default()));
-        let (memory, watched_memory) = watch::channel(WorkspaceMemory::default());
+        let (jobs, job_receiver) = mpsc::channel::<Job<Workspace>>(QUEUED_JOBS);
+        let (state, state_receiver) = watch::channel(DeviceState::Opening(Preparation::default()));
+        let (memory, memory_receiver) = watch::channel(WorkspaceMemory::default());
         let histograms = HistogramCache::default();
         let pins = WaitingPins::default();
         let proven = Arc::new(OnceLock::new());
@@ -139,22 +139,22 @@ impl DeviceWorker {
         let thread = std::thread::Builder::new()
             .name("isopeel-device".into())
             .stack_size(STACK_BYTES)
-            .spawn(move || thread.run(choose, waiting))?;
+            .spawn(move || thread.run(choose, job_receiver))?;
         Ok(Self {
             shared: Arc::new(Shared {
                 jobs: Some(jobs),
-                state: watched,
-                memory: watched_memory,
+                state: state_receiver,
+                memory: memory_receiver,
                 engine,
                 histograms,
-                unfinished: Unfinished::default(),
+                unfinished_histograms: UnfinishedHistograms::default(),
                 overviews: Overviews::default(),
-                slices: Semaphore::new(1),
-                last_answer: tokio::sync::Mutex::default(),
+                slice_permit: Semaphore::new(1),
+                last_probe: tokio::sync::Mutex::default(),
                 user_times: UserTimes::new(user_time),
                 loads: Loads::new(),
                 ahead: AheadState::new(),
-                permits: Permits::new(VIEWERS_JOBS),
+                permits: Permits::new(VIEWER_JOBS),
                 pins,
                 proven,
                 thread: Some(thread),
@@ -164,16 +164,16 @@ impl DeviceWorker {
         })
     }
 
-    /// Returns a handle that charges the device time of computed fields to this user. `None`: to no user.
+    /// Returns a handle that charges the device time of computed fields to this user; `None`: to no user.
     #[must_use]
-    pub fn paid_by(&self, user: Option<&str>) -> Self {
+    pub fn charged_to(&self, user: Option<&str>) -> Self {
         Self {
             payer: user.map(|user| Payer::new(&self.shared.user_times, user)),
             ..self.clone()
         }
     }
 
-    /// Ends the thread, once all other handles are gone. Returns false if that takes longer than `limit`: the thread then runs until the
+    /// Ends the thread. Returns false if other handles still exist, or if ending takes longer than `limit`: the thread then runs until the
     /// process ends.
     pub fn end_within(self, limit: Duration) -> bool {
         let Some(mut shared) = Arc::into_inner(self.shared) else {
@@ -187,7 +187,7 @@ impl DeviceWorker {
                 drop(shared.thread.take());
                 return false;
             }
-            std::thread::sleep(END_INTERVAL);
+            std::thread::sleep(END_POLL_INTERVAL);
         }
         true
     }
@@ -198,24 +198,23 @@ impl DeviceWorker {
     }
 
     /// Runs a probe job and returns whether the device answers within the limit. If it does not, the driver is stuck or the queue takes
-    /// longer. A probe that has succeeded counts for a second.
+    /// longer. The result of a successful probe is reused for a second.
     pub async fn answers_within(&self, limit: Duration) -> bool {
-        let ask = async {
-            // One probe at a time: other callers wait for its answer.
-            let mut last = self.shared.last_answer.lock().await;
-            if last.is_some_and(|last| last.elapsed() < ANSWER_AGE) {
+        let probe = async {
+            let mut last = self.shared.last_probe.lock().await;
+            if last.is_some_and(|last| last.elapsed() < PROBE_LIFETIME) {
                 return true;
             }
             let never = CancellationToken::new();
-            let asked = self.run(&never, Caller::Viewer, Length::Short, |state, _| {
-                Ok(state.engine().answers())
+            let job = self.run(&never, Caller::Viewer, Length::Short, |workspace, _| {
+                Ok(workspace.engine().answers())
             });
             // A probe that fails counts as an answer: such errors are visible in the device's state.
-            let answers = asked.await.unwrap_or(true);
+            let answers = job.await.unwrap_or(true);
             *last = answers.then(Instant::now);
             answers
         };
-        tokio::time::timeout(limit, ask).await.unwrap_or(false)
+        tokio::time::timeout(limit, probe).await.unwrap_or(false)
     }
 
     /// Returns the current state of the device.
@@ -256,12 +255,11 @@ impl DeviceWorker {
         }
     }
 
-    /// Returns a handle for opening a volume, and a watch of its progress. The progress covers describing the volume and resolving the
-    /// view.
+    /// Returns a handle for opening a volume, and a watch of its progress: the work to describe the volume and to resolve the view.
     ///
     /// # Errors
     /// [`WorkError`], but never `Cancelled`.
-    pub async fn watched(&self, volume: &VolumeStep, view: &View) -> Result<(Self, Arc<OpeningWatch>), WorkError> {
+    pub async fn with_watch(&self, volume: &VolumeStep, view: &View) -> Result<(Self, Arc<OpeningWatch>), WorkError> {
         let keys: Vec<_> = volume
             .dataset()
             .fields
@@ -269,8 +267,8 @@ impl DeviceWorker {
             .map(|f| VolumeKey::new(volume, &f.name, false))
             .collect();
         let never = CancellationToken::new();
-        let resident = self.run(&never, Caller::Viewer, Length::Short, move |state, _| {
-            Ok(keys.iter().map(|key| state.is_resident(key)).collect::<Vec<_>>())
+        let resident = self.run(&never, Caller::Viewer, Length::Short, move |workspace, _| {
+            Ok(keys.iter().map(|key| workspace.is_resident(key)).collect::<Vec<_>>())
         });
         let fields = volume.dataset().fields.iter().zip(resident.await?);
         let histograms = &self.shared.histograms;
@@ -285,8 +283,8 @@ impl DeviceWorker {
         Ok((worker, watch))
     }
 
-    /// Queues a job and waits for its end. A cancelled job stays in the queue until its turn, and its caller waits for that too, so a
-    /// caller never has two jobs in the queue. The exception is a job of [`Length::Rest`]: its caller returns as soon as the job is
+    /// Queues a job and waits for its end. A cancelled job stays in the queue until the thread takes it, and its caller waits for that too,
+    /// so a caller never has two jobs in the queue. The exception is a job of [`Length::Rest`]: its caller returns as soon as the job is
     /// cancelled, because an export may run to its end while the job pauses. At most one such job exists.
     pub(super) async fn run<T, F>(
         &self,
@@ -306,45 +304,39 @@ impl DeviceWorker {
             permit = self.shared.permits.wait(caller, length) => permit,
             () = token.cancelled() => return Err(WorkError::Cancelled.into()),
         };
-        let (reply, answer) = oneshot::channel();
+        let (sender, outcome) = oneshot::channel();
         let token = token.child_token();
+        // Cancels the job if its caller is gone.
         let _guard = (caller != Caller::Cache).then(|| token.clone().drop_guard());
         // Log entries of the job on the thread belong to the caller's span.
         let span = tracing::Span::current();
-        let (labels, arrived) = (job_labels(caller, length), Instant::now());
-        let (asked, ended) = (token.clone(), token.clone());
-        let run = Box::new(move |state: &mut Workspace, queue: &mut Queue<Workspace>| {
+        let (labels, queued) = (job_labels(caller, length), Instant::now());
+        let job_token = token.clone();
+        let run = Box::new(move |workspace: &mut Workspace, queue: &mut Queue<Workspace>| {
             let (_permit, _span, begun) = (permit, span.entered(), Instant::now());
-            metrics::job_begun(labels, begun - arrived);
-            let outcome = if asked.is_cancelled() {
-                Err(WorkError::Cancelled.into())
-            } else {
-                let (cancel, mut waiting) = (Token(&asked), PausedQueue { queue, length });
-                let mut context = match length {
-                    Length::Short => JobContext::short(&cancel),
-                    Length::Long | Length::Field | Length::Export | Length::Rest => {
-                        JobContext::long(&cancel, &mut waiting)
-                    }
-                };
-                job(state, &mut context).map_err(|error| state.look_for_loss(error))
-            };
+            metrics::job_begun(labels, begun - queued);
+            let outcome = run_on_thread(workspace, queue, length, &job_token, job);
             metrics::job_ended(labels, begun.elapsed());
             // Sending fails if the caller is gone, which is no error.
-            let _ = reply.send(outcome);
+            let _ = sender.send(outcome);
         });
-        let work = Job { length, token, run };
-        let jobs = self.shared.jobs.as_ref().ok_or(WorkError::Stopped)?;
-        let queued = match caller {
-            Caller::Request => jobs.try_send(work).map_err(|refused| match refused {
-                mpsc::error::TrySendError::Full(_) => WorkError::Busy,
-                mpsc::error::TrySendError::Closed(_) => self.why_stopped(),
-            }),
-            Caller::Viewer | Caller::Cache => jobs.send(work).await.map_err(|_| self.why_stopped()),
-        };
-        queued?;
+        let cancelled = token.clone();
+        self.send(caller, Job { length, token, run }).await?;
         tokio::select! {
-            outcome = answer => outcome.unwrap_or_else(|_| Err(self.why_stopped().into())),
-            () = ended.cancelled(), if length == Length::Rest => Err(WorkError::Cancelled.into()),
+            outcome = outcome => outcome.unwrap_or_else(|_| Err(self.stop_error().into())),
+            () = cancelled.cancelled(), if length == Length::Rest => Err(WorkError::Cancelled.into()),
+        }
+    }
+
+    /// Puts a job into the queue. If the queue is full, refuses a job of a request, and waits with others.
+    async fn send(&self, caller: Caller, job: Job<Workspace>) -> Result<(), WorkError> {
+        let jobs = self.shared.jobs.as_ref().ok_or(WorkError::Stopped)?;
+        match caller {
+            Caller::Request => jobs.try_send(job).map_err(|refused| match refused {
+                mpsc::error::TrySendError::Full(_) => WorkError::Busy,
+                mpsc::error::TrySendError::Closed(_) => self.stop_error(),
+            }),
+            Caller::Viewer | Caller::Cache => jobs.send(job).await.map_err(|_| self.stop_error()),
         }
     }
 
@@ -375,7 +367,7 @@ impl DeviceWorker {
     }
 
     /// Runs a slice of work on a whole volume. Callers take turns: only one slice is queued at a time. If a program is still being checked,
-    /// gives up the turn, waits for the check and retries.
+    /// releases the permit, waits for the check and retries.
     pub(super) async fn run_slice<T, F>(&self, caller: Caller, job: F) -> Result<T, JobError>
     where
         T: Send + 'static,
@@ -383,12 +375,12 @@ impl DeviceWorker {
     {
         let never = CancellationToken::new();
         loop {
-            let turn = self.shared.slices.acquire().await;
+            let permit = self.shared.slice_permit.acquire().await;
             let job = job.clone();
             let outcome = self
-                .run(&never, caller, Length::Short, move |state, _| job(state))
+                .run(&never, caller, Length::Short, move |workspace, _| job(workspace))
                 .await;
-            drop(turn);
+            drop(permit);
             match self.unproven(&outcome) {
                 Some((program, proven)) => proven.settled(&program).await,
                 None => return outcome,
@@ -406,11 +398,31 @@ impl DeviceWorker {
         }
     }
 
-    fn why_stopped(&self) -> WorkError {
+    /// Returns the error of a job that the thread has dropped, or does not accept.
+    fn stop_error(&self) -> WorkError {
         match self.state() {
             DeviceState::Failed(error) => WorkError::NoDevice(error),
             DeviceState::Lost | DeviceState::NeedsNewProcess => WorkError::Reopening,
             DeviceState::Opening(_) | DeviceState::Ready(_) => WorkError::Stopped,
         }
     }
+}
+
+/// Runs a job on the device's thread, unless it was cancelled. A long job pauses for jobs of higher priority.
+fn run_on_thread<T>(
+    workspace: &mut Workspace,
+    queue: &mut Queue<Workspace>,
+    length: Length,
+    token: &CancellationToken,
+    job: impl FnOnce(&mut Workspace, &mut JobContext<'_, Workspace>) -> Result<T, JobError>,
+) -> Result<T, JobError> {
+    if token.is_cancelled() {
+        return Err(WorkError::Cancelled.into());
+    }
+    let (cancel, mut waiting) = (Token(token), PausedQueue { queue, length });
+    let mut context = match length {
+        Length::Short => JobContext::short(&cancel),
+        Length::Long | Length::Field | Length::Export | Length::Rest => JobContext::long(&cancel, &mut waiting),
+    };
+    job(workspace, &mut context).map_err(|error| workspace.look_for_loss(error))
 }

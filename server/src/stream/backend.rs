@@ -191,7 +191,7 @@ impl Backend for Live {
 
     fn used_by(self, who: &Identity) -> Self {
         Self {
-            extractor: self.extractor.paid_by(who.limited_user()),
+            extractor: self.extractor.charged_to(who.limited_user()),
             ..self
         }
     }
@@ -212,7 +212,7 @@ impl Backend for Live {
                 ready = self.extractor.worker().ready() => ready?,
                 never = report_device(self.extractor.worker().states(), progress) => never,
             };
-            let (worker, watch) = self.extractor.worker().watched(volume, view).await?;
+            let (worker, watch) = self.extractor.worker().with_watch(volume, view).await?;
             let (view, volume) = tokio::select! {
                 read = read(&worker, volume, view, token) => read?,
                 never = report(&watch, progress) => never,

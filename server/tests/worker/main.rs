@@ -197,8 +197,8 @@ async fn what_opening_takes_is_counted_for_everyone_who_waits_for_it() {
         total_bytes: all * first.stored_bytes(),
     };
 
-    let (one, watch) = worker.watched(&volume, &opening).await.expect("a device");
-    let (two, same) = worker.watched(&volume, &opening).await.expect("a device");
+    let (one, watch) = worker.with_watch(&volume, &opening).await.expect("a device");
+    let (two, same) = worker.with_watch(&volume, &opening).await.expect("a device");
     assert_eq!(watch.progress(), times(0, 8));
     let (a, b) = tokio::join!(
         one.histogram(&volume, "first", &none),
@@ -210,7 +210,7 @@ async fn what_opening_takes_is_counted_for_everyone_who_waits_for_it() {
     assert_eq!(same.progress(), times(3, 8), "who waits for another's load");
 
     // Resident data is not counted.
-    let (three, rest) = worker.watched(&volume, &opening).await.expect("a device");
+    let (three, rest) = worker.with_watch(&volume, &opening).await.expect("a device");
     assert_eq!(rest.progress(), times(0, 5));
     three.histogram(&volume, "second", &none).await.expect("a histogram");
     three
@@ -220,7 +220,7 @@ async fn what_opening_takes_is_counted_for_everyone_who_waits_for_it() {
     assert_eq!(rest.progress(), times(4, 5));
     three.histogram(&volume, "first", &gradient).await.expect("a histogram");
     assert_eq!(rest.progress(), times(5, 5));
-    let (_, nothing) = worker.watched(&volume, &opening).await.expect("a device");
+    let (_, nothing) = worker.with_watch(&volume, &opening).await.expect("a device");
     assert_eq!(nothing.progress(), times(0, 0));
 }
 

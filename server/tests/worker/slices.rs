@@ -170,7 +170,7 @@ async fn a_description_that_nobody_waits_for_pauses_and_goes_on_for_the_next_cal
     let left = timeout(Duration::from_millis(20), worker.histogram(large, "waves", &feature)).await;
     assert!(left.is_err(), "it took less than 20 ms");
     sleep(Duration::from_secs(2)).await;
-    let (_, watch) = worker.watched(large, large_view).await.expect("a device");
+    let (_, watch) = worker.with_watch(large, large_view).await.expect("a device");
     assert!(
         watch.progress().total_bytes > 0,
         "the histogram was made without a caller"
@@ -227,7 +227,7 @@ async fn a_user_whose_fields_have_taken_their_time_waits_and_others_do_not() {
     let Volumes {
         worker, large, small, ..
     } = &volumes;
-    let ann = worker.paid_by(Some("ann"));
+    let ann = worker.charged_to(Some("ann"));
     let costly = ann.slice(large, &costly("waves", 1), 2, 5).await;
     let error = costly.expect_err("too long");
     assert!(matches!(error, WorkError::UserTime { .. }), "{error:?}");
@@ -239,7 +239,7 @@ async fn a_user_whose_fields_have_taken_their_time_waits_and_others_do_not() {
             .contains("the 0.06 s of the device's time that one user may take within 10 minutes"),
         "{further}"
     );
-    let of_another = worker.paid_by(Some("bob")).slice(small, "3*small", 2, 5).await;
+    let of_another = worker.charged_to(Some("bob")).slice(small, "3*small", 2, 5).await;
     of_another.expect("bob has taken nothing");
     ann.slice(small, "small", 2, 5).await.expect("nothing is computed");
     worker.slice(small, "4*small", 2, 5).await.expect("an administrator");
