@@ -525,9 +525,9 @@ export type Pose = {
 
 /** Progress of the steps before a device's first surface. */
 export type Preparation = {
-  /** Steps that are done. */
+  /** Number of steps that are done. */
   done: number,
-  /** Steps in all; 0 if that is not known. */
+  /** Total number of steps; 0 if it is not known. */
   of: number,
 };
 
