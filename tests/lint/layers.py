@@ -16,6 +16,7 @@ from tree import read, text_files
 
 CRATES = {
     "kernels": [],
+    "server/client": [],
     "server/geometry": [],
     "server/codec": ["isopeel-kernels"],
     "server/extraction": ["isopeel-codec", "isopeel-geometry", "isopeel-kernels", "isopeel-view", "isopeel-volumes"],
@@ -41,6 +42,13 @@ LAYERS = {
         engine
         check
         testing
+    """,
+    "server/client/src": """
+        chunk
+        error
+        connection frame
+        surface
+        viewer
     """,
     "server/geometry/src": """
         intersections uneven

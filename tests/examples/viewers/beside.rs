@@ -6,16 +6,15 @@ use std::time::Duration;
 
 use clap::ValueEnum;
 use futures_util::{SinkExt, StreamExt};
+use isopeel_client::{Connection, Message};
 use serde_json::json;
 use tokio::io::AsyncWriteExt;
 use tokio::task::JoinSet;
 use tokio::time::{Instant, interval};
-use tokio_tungstenite::MaybeTlsStream;
-use tokio_tungstenite::tungstenite::Message;
 
 use crate::seen::Seen;
 use crate::server::Server;
-use crate::viewer::{Random, Socket, VOLUME, Viewer, connect};
+use crate::viewer::{Random, VOLUME, Viewer, connect};
 use crate::{BUSY_VIEWERS, Error};
 
 /// A client that misbehaves. Closed, it comes again.
@@ -64,30 +63,30 @@ impl Beside {
     /// Misbehaves until it is aborted.
     async fn run(self, address: String) {
         loop {
-            if let Ok(socket) = connect(&address).await {
+            if let Ok(connection) = connect(&address).await {
                 // The server may close the connection.
-                let _ = self.talk(socket).await;
+                let _ = self.talk(connection).await;
             }
         }
     }
 
-    async fn talk(self, mut socket: Socket) -> Result<(), Error> {
+    async fn talk(self, mut connection: Connection) -> Result<(), Error> {
         let open = Message::text(json!({"type": "open", "volume": VOLUME}).to_string());
         let mut random = Random(9);
         let mut edit = || Message::text(json!({"type": "edit", "iso": random.isovalue(), "beta": -1}).to_string());
         if let Self::Garbage | Self::Pieces = self {
-            return self.send_bytes(socket).await;
+            return self.send_bytes(connection).await;
         }
-        socket.send(open.clone()).await?;
+        connection.send_raw(open.clone()).await?;
         if self == Self::Stalled {
             let mut pause = interval(STALLED_PAUSE);
             loop {
                 pause.tick().await;
-                socket.send(edit()).await?;
+                connection.send_raw(edit()).await?;
             }
         }
         // A client that floods the server reads the answers.
-        let (mut sink, mut stream) = socket.split();
+        let (mut sink, mut stream) = connection.into_socket().split();
         let reading = async { while let Some(Ok(_)) = stream.next().await {} };
         let sending = async {
             for n in 0.. {
@@ -110,10 +109,8 @@ impl Beside {
     }
 
     /// What no library sends.
-    async fn send_bytes(self, mut socket: Socket) -> Result<(), Error> {
-        let MaybeTlsStream::Plain(tcp) = socket.get_mut() else {
-            return Err("it has no TLS".into());
-        };
+    async fn send_bytes(self, mut connection: Connection) -> Result<(), Error> {
+        let tcp = connection.stream_mut();
         if self == Self::Pieces {
             tcp.write_all(&FIRST_PIECE).await?;
             let pieces = NEXT_PIECE.repeat(1 << 14);
@@ -122,7 +119,7 @@ impl Beside {
             }
         }
         tcp.write_all(&GARBAGE).await?;
-        while let Some(Ok(_)) = socket.next().await {}
+        connection.close_code().await?;
         Ok(())
     }
 }

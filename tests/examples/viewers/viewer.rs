@@ -4,14 +4,10 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-use futures_util::{SinkExt, StreamExt};
+use isopeel_client::{Connection, RawFrame, WebSocketConfig, request};
 use serde_json::{Value, json};
 use tokio::net::TcpStream;
 use tokio::time::{Instant, sleep_until, timeout, timeout_at};
-use tokio_tungstenite::tungstenite::client::IntoClientRequest;
-use tokio_tungstenite::tungstenite::protocol::WebSocketConfig;
-use tokio_tungstenite::tungstenite::{Message, http::HeaderValue};
-use tokio_tungstenite::{MaybeTlsStream, WebSocketStream, connect_async_with_config};
 
 use crate::Error;
 use crate::seen::Seen;
@@ -49,18 +45,14 @@ enum News {
 }
 
 /// Connects to the stream.
-pub async fn connect(address: &str) -> Result<Socket, Error> {
-    let mut request = format!("ws://{address}/api/v1/stream").into_client_request()?;
-    let protocol = HeaderValue::from_static("isopeel.v2");
-    request.headers_mut().insert("sec-websocket-protocol", protocol);
+pub async fn connect(address: &str) -> Result<Connection, Error> {
     let config = WebSocketConfig::default().read_buffer_size(8 << 10);
-    Ok(connect_async_with_config(request, Some(config), true).await?.0)
+    let tcp = TcpStream::connect(address).await?;
+    Ok(Connection::handshake(tcp, request(address, "", &[])?, Some(config)).await?)
 }
 
-pub type Socket = WebSocketStream<MaybeTlsStream<TcpStream>>;
-
 pub struct Viewer {
-    socket: Socket,
+    connection: Connection,
     seen: Arc<Seen>,
     /// Generations up to this are of edits before.
     known: u64,
@@ -75,17 +67,18 @@ impl Viewer {
     /// Connects, opens the demo and waits for its surface.
     pub async fn open(address: &str, seen: &Arc<Seen>) -> Result<Self, Error> {
         let mut viewer = Self {
-            socket: connect(address).await?,
+            connection: connect(address).await?,
             seen: Arc::clone(seen),
             known: 0,
             latest: 0,
             due: None,
             is_waiting: false,
         };
-        viewer.send(json!({"type": "open", "volume": VOLUME})).await?;
+        let open = json!({"type": "open", "volume": VOLUME});
+        viewer.connection.send(&open).await?;
         viewer.until(|news| matches!(news, News::Opened)).await?;
         // As it opens.
-        viewer.send(json!({"type": "edit"})).await?;
+        viewer.connection.send(&json!({"type": "edit"})).await?;
         viewer.until_done().await?;
         Ok(viewer)
     }
@@ -95,29 +88,25 @@ impl Viewer {
         self.seen = Arc::clone(seen);
     }
 
-    async fn send(&mut self, message: Value) -> Result<(), Error> {
-        Ok(self.socket.send(Message::text(message.to_string())).await?)
-    }
-
     async fn edit(&mut self, iso: f64, due: Instant) -> Result<(), Error> {
         if self.due.replace(due).is_some() {
             self.seen.overtaken.fetch_add(1, Ordering::Relaxed);
         }
         (self.known, self.is_waiting) = (self.latest, true);
         self.seen.edits.fetch_add(1, Ordering::Relaxed);
-        self.send(json!({"type": "edit", "iso": iso})).await
+        Ok(self.connection.send(&json!({"type": "edit", "iso": iso})).await?)
     }
 
     async fn next(&mut self) -> Result<News, Error> {
-        let message = self
-            .socket
-            .next()
-            .await
-            .ok_or("the server has closed the connection")??;
-        self.seen.bytes.fetch_add(message.len() as u64, Ordering::Relaxed);
-        let Message::Text(text) = message else {
-            return Ok(News::Nothing);
+        let count = |bytes: usize| self.seen.bytes.fetch_add(bytes as u64, Ordering::Relaxed);
+        let text = match self.connection.next().await? {
+            RawFrame::Text(text) => text,
+            RawFrame::Chunk(chunk) => {
+                count(chunk.len());
+                return Ok(News::Nothing);
+            }
         };
+        count(text.len());
         let message: Value = serde_json::from_str(&text)?;
         let generation = message["generation"].as_u64().unwrap_or(0);
         self.latest = self.latest.max(generation);

@@ -3,14 +3,12 @@
 use std::net::SocketAddr;
 use std::time::{Duration, Instant};
 
-use futures_util::{SinkExt, StreamExt};
 use isopeel::stream::Deadlines;
+use isopeel_client::{Connection, Message, request};
 use serde_json::{Value, json};
-use tokio::net::{TcpSocket, TcpStream};
-use tokio_tungstenite::WebSocketStream;
-use tokio_tungstenite::tungstenite::Message;
+use tokio::net::TcpSocket;
 
-use crate::support::viewer::{Frame, Viewer, connect, connect_from, handshake};
+use crate::support::viewer::{Frame, Viewer, connect, status};
 use crate::support::{demo, http, server};
 
 async fn error_for(viewer: &mut Viewer, message: &str) -> (String, bool) {
@@ -217,30 +215,27 @@ const ASKING: Duration = Duration::from_secs(32);
 
 /// Opens the demo and requests surface after surface without reading: a client whose tab sleeps. Its receive buffer is
 /// small, so that the network buffers little.
-async fn ask_without_reading(address: SocketAddr, stop: Instant) -> WebSocketStream<TcpStream> {
+async fn ask_without_reading(address: SocketAddr, stop: Instant) -> Connection {
     let socket = TcpSocket::new_v4().expect("a socket");
     socket.set_recv_buffer_size(4096).expect("a small buffer");
     let tcp = socket.connect(address).await.expect("the server listens");
-    let mut socket = handshake(tcp, address, Some("isopeel.v2"))
-        .await
-        .expect("the handshake is accepted");
-    let text = |value: Value| Message::text(value.to_string());
-    socket
-        .send(text(json!({"type": "open", "volume": demo::ID})))
-        .await
-        .expect("sent");
+    let request = request(address, "", &[]).expect("a request");
+    let connected = Connection::handshake(tcp, request, None).await;
+    let mut connection = connected.expect("the handshake is accepted");
+    let open = json!({"type": "open", "volume": demo::ID});
+    connection.send(&open).await.expect("sent");
     let mut iso = 60.0;
     while Instant::now() < stop {
         let edit = json!({"type": "edit", "iso": iso, "beta": -1});
         // the server may have closed by then: its messages are read later
-        if socket.send(text(edit)).await.is_err() {
+        if connection.send(&edit).await.is_err() {
             break;
         }
         iso = if iso > 120.0 { 60.0 } else { iso + 7.0 };
         // Long enough for the whole surface: without pongs the server waits 2 s before it sends more than two prefixes.
         tokio::time::sleep(Duration::from_secs(4)).await;
     }
-    socket
+    connection
 }
 
 /// The deadline is 2 s here instead of the page's 20 s, and the close frame has long enough to be seen by a client that
@@ -281,12 +276,8 @@ async fn a_client_that_does_not_read_is_closed_and_holds_up_nobody() {
     assert!(longest < Duration::from_secs(10), "another viewer waited {longest:?}");
 
     let mut slow = asking.await.expect("the client ran");
-    let mut code = None;
-    while let Ok(Some(Ok(message))) = tokio::time::timeout(Duration::from_secs(30), slow.next()).await {
-        if let Message::Close(Some(reason)) = message {
-            code = Some(u16::from(reason.code));
-        }
-    }
+    let code = tokio::time::timeout(Duration::from_secs(30), slow.close_code()).await;
+    let code = code.expect("in time").expect("a close frame");
     assert_eq!(code, Some(4001), "close code of the client that did not read");
 }
 
@@ -303,23 +294,14 @@ async fn a_client_that_says_nothing_and_answers_no_ping_is_closed() {
     // a viewer that reads answers pings by itself and stays connected
     let mut alive = Viewer::open(own.address, demo::ID).await;
     let reading = tokio::spawn(async move { tokio::time::timeout(Duration::from_secs(3), alive.next()).await });
-    let silent = connect(own.address, Some("isopeel.v2"))
-        .await
-        .expect("the handshake is accepted");
+    let mut silent = connect(own.address).await;
     assert!(
         reading.await.expect("it ran").is_err(),
         "a viewer that answers pings heard something or was closed"
     );
     // three seconds later the other one finds pings and a close frame
-    let mut last = None;
-    let mut silent = silent;
-    while let Ok(Some(Ok(message))) = tokio::time::timeout(Duration::from_secs(30), silent.next()).await {
-        last = Some(message);
-    }
-    let Some(Message::Close(Some(reason))) = last else {
-        panic!("expected a close frame, got {last:?}")
-    };
-    assert_eq!(u16::from(reason.code), 4003);
+    let code = tokio::time::timeout(Duration::from_secs(30), silent.close_code()).await;
+    assert_eq!(code.expect("in time").expect("a close frame"), Some(4003));
 }
 
 #[tokio::test]
@@ -353,12 +335,16 @@ async fn shutdown_closes_viewers_with_1001() {
 #[tokio::test]
 async fn pages_of_other_origins_are_refused_unless_allowed() {
     let Some(address) = server::shared() else { return };
-    for origin in [format!("http://{address}"), server::FRIEND.to_owned()] {
-        assert!(connect_from(address, &origin).await.is_ok(), "{origin}");
-    }
-    for origin in ["https://evil.example", "http://localhost:1", "null"] {
-        let refused = connect_from(address, origin).await.err();
-        assert_eq!(refused.map(|status| status.as_u16()), Some(403), "{origin}");
+    let own = format!("http://{address}");
+    for (origin, refused) in [
+        (own.as_str(), None),
+        (server::FRIEND, None),
+        ("https://evil.example", Some(403)),
+        ("http://localhost:1", Some(403)),
+        ("null", Some(403)),
+    ] {
+        let connected = Connection::connect_with(address, "", &[("origin", origin)]).await;
+        assert_eq!(status(connected), refused, "{origin}");
     }
     let readers = tokio::task::spawn_blocking(move || {
         ["https://evil.example", server::FRIEND].map(|origin| http::readable_by(address, "/api/v1/volumes", origin))

@@ -5,13 +5,12 @@ use std::net::SocketAddr;
 use std::time::{Duration, Instant};
 
 use futures_util::{SinkExt, StreamExt};
+use isopeel_client::{Connection, Message};
 use serde_json::{Value, json};
 use tokio::io::AsyncWriteExt;
-use tokio::net::TcpStream;
 use tokio::sync::mpsc;
 use tokio::task::JoinSet;
-use tokio_tungstenite::WebSocketStream;
-use tokio_tungstenite::tungstenite::Message;
+use tokio::time::timeout;
 
 use crate::metrics::{counted, metrics_of};
 use crate::support::process::Process;
@@ -27,44 +26,23 @@ const PAUSE: Duration = Duration::from_millis(300);
 /// Longest wait for anything.
 const PATIENCE: Duration = Duration::from_secs(120);
 
-type Socket = WebSocketStream<TcpStream>;
-
-async fn say(socket: &mut Socket, message: Value) {
-    socket
-        .send(Message::text(message.to_string()))
-        .await
-        .expect("it is sent");
+async fn say(connection: &mut Connection, message: Value) {
+    connection.send(&message).await.expect("it is sent");
 }
 
-/// Returns the next text frame; skips chunks.
-async fn text(socket: &mut Socket) -> Value {
-    loop {
-        let frame = tokio::time::timeout(PATIENCE, socket.next())
-            .await
-            .expect("a frame in time");
-        if let Message::Text(text) = frame.expect("a frame").expect("it is whole") {
-            return serde_json::from_str(&text).expect("JSON");
-        }
-    }
-}
-
-async fn until(socket: &mut Socket, name: &str) -> Value {
-    loop {
-        let message = text(socket).await;
-        assert_ne!(message["type"], "error", "{message}");
-        if message["type"] == name {
-            return message;
-        }
-    }
+async fn until(connection: &mut Connection, kind: &str) -> Value {
+    let message = timeout(PATIENCE, connection.until(kind)).await;
+    message.expect("a message in time").expect("no error")
 }
 
 /// A follower: sends the time at which it has the first surface of each isovalue, until the group ends.
 async fn follow(address: SocketAddr, group: String, seen: mpsc::Sender<(u64, Instant)>) {
-    let mut socket = connect(address, Some("isopeel.v2")).await.expect("a handshake");
-    say(&mut socket, json!({"type": "join", "group": group})).await;
+    let mut connection = connect(address).await;
+    say(&mut connection, json!({"type": "join", "group": group})).await;
     let mut expected = None;
     loop {
-        let message = text(&mut socket).await;
+        let message = timeout(PATIENCE, connection.next_message()).await;
+        let message = message.expect("a message in time").expect("no error");
         match message["type"].as_str().expect("a type") {
             "led" => expected = message["surfaces"][0]["edit"]["iso"].as_f64(),
             "committed" => {
@@ -95,7 +73,7 @@ fn iso(n: usize) -> f64 {
 /// A server with the ball, a group on it, and its followers.
 struct Crowd {
     server: Process,
-    leader: Socket,
+    leader: Connection,
     /// Of the leader's last edit.
     generation: u64,
     followers: usize,
@@ -111,7 +89,7 @@ impl Crowd {
         let volume = folder.path().join("ball.npy");
         ball::write(&volume);
         let server = process::start(&[volume], &["--no-demo"])?;
-        let mut leader = connect(server.address, Some("isopeel.v2")).await.expect("a handshake");
+        let mut leader = connect(server.address).await;
         say(&mut leader, json!({"type": "open", "volume": "ball"})).await;
         until(&mut leader, "opened").await;
         Some(Self {
@@ -161,7 +139,7 @@ impl Crowd {
 
     /// The next first commit of a follower.
     async fn next(&mut self) -> (u64, Instant) {
-        let next = tokio::time::timeout(PATIENCE, self.all.recv()).await;
+        let next = timeout(PATIENCE, self.all.recv()).await;
         next.expect("all see it").expect("a follower")
     }
 
@@ -225,7 +203,7 @@ async fn a_crowd_that_follows_sees_an_edit_soon_and_costs_little() {
 
 /// A client that misbehaves until the server closes the connection. It reads only as much as necessary.
 async fn misbehave(address: SocketAddr, how: usize) {
-    let Ok(mut socket) = connect(address, Some("isopeel.v2")).await else {
+    let Ok(mut connection) = Connection::connect(address).await else {
         return;
     };
     let open = Message::text(json!({"type": "open", "volume": "ball"}).to_string());
@@ -234,18 +212,18 @@ async fn misbehave(address: SocketAddr, how: usize) {
     match how {
         // Edits ten times a second and never reads.
         0 => {
-            let _ = socket.send(open).await;
-            while socket.send(edit()).await.is_ok() {
+            let _ = connection.send_raw(open).await;
+            while connection.send_raw(edit()).await.is_ok() {
                 tokio::time::sleep(Duration::from_millis(100)).await;
             }
         }
-        1 => flood(socket, || open.clone()).await,
-        2 => flood(socket, || Message::Ping(Default::default())).await,
-        3 => flood(socket, || Message::Pong(Default::default())).await,
+        1 => flood(connection, || open.clone()).await,
+        2 => flood(connection, || Message::Ping(Default::default())).await,
+        3 => flood(connection, || Message::Pong(Default::default())).await,
         // 15 malformed messages, and a valid one, which has no effect because no volume is open.
         4 => {
             let mut n = 0;
-            flood(socket, || {
+            flood(connection, || {
                 n += 1;
                 if n % 16 == 0 { edit() } else { Message::text("{") }
             })
@@ -253,7 +231,7 @@ async fn misbehave(address: SocketAddr, how: usize) {
         }
         // A message of endless empty fragments, as masked bytes on the wire.
         _ => {
-            let tcp = socket.get_mut();
+            let tcp = connection.stream_mut();
             let _ = tcp.write_all(&[0x01, 0x80, 0, 0, 0, 0]).await;
             let pieces = [0x00, 0x80, 0, 0, 0, 0].repeat(1 << 14);
             while tcp.write_all(&pieces).await.is_ok() {}
@@ -262,8 +240,8 @@ async fn misbehave(address: SocketAddr, how: usize) {
 }
 
 /// Sends as fast as the server accepts messages, and reads all frames.
-async fn flood(socket: Socket, mut next: impl FnMut() -> Message) {
-    let (mut sink, mut stream) = socket.split();
+pub async fn flood(connection: Connection, mut next: impl FnMut() -> Message) {
+    let (mut sink, mut stream) = connection.into_socket().split();
     let reading = async { while let Some(Ok(_)) = stream.next().await {} };
     let sending = async { while sink.send(next()).await.is_ok() {} };
     tokio::select! {

@@ -9,9 +9,8 @@ use serde_json::{Value, json};
 use tempfile::TempDir;
 
 use crate::metrics::metrics_of;
-use crate::support::frame::Frame;
 use crate::support::process::{self, Process};
-use crate::support::viewer::Viewer;
+use crate::support::viewer::{Frame, Viewer};
 use crate::support::{ball, demo, http, server};
 
 /// Longest time to an answer after the device is back, and to the demo's surface.

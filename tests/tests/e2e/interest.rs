@@ -1,11 +1,10 @@
 //! Regions of interest: the surface is finer inside, within the same budget, and as before once they are removed.
 
-use std::collections::HashMap;
 use std::path::Path;
 
+use isopeel_client::same_meshes;
 use serde_json::{Value, json};
 
-use crate::support::chunk::Chunk;
 use crate::support::files::FileMesh;
 use crate::support::viewer::Viewer;
 use crate::support::{ball, command, demo, demo_file, files, http, mesh, server};
@@ -159,17 +158,11 @@ async fn setting_and_removing_regions_gives_the_bytes_of_before() {
     let first = json!({"iso": demo::ISO + 11.0, "feature": "none", "alpha": 0, "triangles": {"share": 0.15}, "maxError": "auto",
         "topology": "auto", "transferFunction": {"points": identity}, "interest": []});
     viewer.edit_and_rest(first).await;
-    let shown = |viewer: &Viewer| -> HashMap<[u32; 3], Chunk> { viewer.shown.clone() };
-    let same = |a: &HashMap<[u32; 3], Chunk>, b: &HashMap<[u32; 3], Chunk>| {
-        a.len() == b.len()
-            && a.iter()
-                .all(|(region, chunk)| b.get(region).is_some_and(|other| other.same_mesh(chunk)))
-    };
-    let before = shown(&viewer);
+    let before = viewer.shown.clone();
     // From here on there is a tree, and an edit of the regions alone is answered with a cut of it.
     let plain = viewer.edit(json!({})).await;
     let raised = viewer.edit(json!({"interest": of_json(ON_THE_BRAIN)})).await;
-    assert!(!same(&before, &shown(&viewer)), "nothing changed");
+    assert!(!same_meshes(&before, &viewer.shown), "nothing changed");
     for statistics in [&plain, &raised] {
         assert_eq!(statistics["isTreeCut"], true, "{statistics}");
         let (triangles, budget) = (
@@ -181,13 +174,16 @@ async fn setting_and_removing_regions_gives_the_bytes_of_before() {
             "{triangles} triangles of {budget}"
         );
     }
-    let raised_shown = shown(&viewer);
+    let raised_shown = viewer.shown.clone();
     // What an edit does not name stays.
     viewer.edit(json!({"alpha": 0.3})).await;
     viewer.edit(json!({"alpha": 0})).await;
-    assert!(same(&raised_shown, &shown(&viewer)), "another edit changed the regions");
+    assert!(
+        same_meshes(&raised_shown, &viewer.shown),
+        "another edit changed the regions"
+    );
     viewer.edit(json!({"interest": []})).await;
-    assert!(same(&before, &shown(&viewer)), "the regions were removed");
+    assert!(same_meshes(&before, &viewer.shown), "the regions were removed");
     assert_eq!(mesh::open_edges(viewer.shown.values(), demo::DIMS).len(), 0);
     viewer.close().await;
 }

@@ -6,8 +6,7 @@ use std::net::{SocketAddr, TcpListener};
 use serde_json::{Value, json};
 
 use crate::jobs::{Setting, extraction, finished, request, submit};
-use crate::support::frame::Frame;
-use crate::support::viewer::Viewer;
+use crate::support::viewer::{Frame, Viewer};
 use crate::support::{command, http, process};
 
 /// Returns an address on which no server listens.

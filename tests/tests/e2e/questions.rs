@@ -230,9 +230,7 @@ async fn questions_that_cannot_be_answered_are_refused() {
     let Some(address) = server::shared() else { return };
     let mut viewer = Viewer::connect(address).await;
     let refused = async |viewer: &mut Viewer, question: &str| {
-        viewer
-            .send_raw(tokio_tungstenite::tungstenite::Message::text(question))
-            .await;
+        viewer.send_raw(isopeel_client::Message::text(question)).await;
         match viewer.next().await {
             Frame::Error { code, open: true, .. } => code,
             other => panic!("{question}: expected `error`, got {other:?}"),

@@ -5,9 +5,8 @@ use std::net::SocketAddr;
 use std::time::{Duration, Instant};
 
 use futures_util::future::join_all;
-use futures_util::{SinkExt, StreamExt};
+use isopeel_client::RawFrame;
 use serde_json::{Value, json};
-use tokio_tungstenite::tungstenite::Message;
 
 use crate::metrics::{counted, metrics_of};
 use crate::support::viewer::connect;
@@ -24,21 +23,19 @@ struct Shown {
 
 /// Opens a volume and reads its first surface, up to the measured error.
 async fn look(address: SocketAddr) -> Shown {
-    let mut socket = connect(address, Some("isopeel.v2")).await.expect("a handshake");
-    for message in [json!({"type": "open", "volume": "ball"}), json!({"type": "edit"})] {
-        let text = Message::text(message.to_string());
-        socket.send(text).await.expect("it is sent");
-    }
+    let mut connection = connect(address).await;
+    let messages = [json!({"type": "open", "volume": "ball"}), json!({"type": "edit"})];
+    connection.send_all(messages).await.expect("it is sent");
     let start = Instant::now();
     let (mut chunks, mut done) = (BTreeMap::new(), Duration::ZERO);
     loop {
-        match socket.next().await.expect("a frame").expect("it is whole") {
-            Message::Binary(frame) => {
+        match connection.next().await.expect("a frame") {
+            RawFrame::Chunk(frame) => {
                 // The mesh with its region, without generation, level, kind and surface.
                 let region = frame[20..32].try_into().expect("twelve bytes");
                 chunks.insert(region, [&frame[..8], &frame[16..]].concat());
             }
-            Message::Text(text) => {
+            RawFrame::Text(text) => {
                 let message: Value = serde_json::from_str(&text).expect("JSON");
                 match message["type"].as_str().expect("a type") {
                     "done" if done.is_zero() => done = start.elapsed(),
@@ -47,10 +44,9 @@ async fn look(address: SocketAddr) -> Shown {
                     _ => {}
                 }
             }
-            _ => {}
         }
     }
-    socket.close(None).await.expect("a close frame");
+    connection.close().await.expect("a close frame");
     // A chunk without vertices: the region has no surface any more.
     chunks.retain(|_, chunk: &mut Vec<u8>| chunk.len() > 88);
     Shown { chunks, done }

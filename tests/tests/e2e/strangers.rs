@@ -4,13 +4,13 @@ use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream};
 use std::time::{Duration, Instant};
 
-use futures_util::StreamExt;
+use isopeel_client::{Connection, Message};
 use serde_json::{Value, json};
 use tokio::io::AsyncWriteExt;
-use tokio_tungstenite::tungstenite::Message;
 
+use crate::crowd;
 use crate::support::process::{self, Process};
-use crate::support::viewer::{Frame, Viewer, connect};
+use crate::support::viewer::{Frame, Viewer, connect, status};
 use crate::support::{demo, http, server};
 
 /// Sends text as it is; returns the bytes until the server closes the connection.
@@ -112,16 +112,9 @@ async fn half_requests_cost_little_and_end() {
 
 /// The code of the close frame that broken bytes are answered with.
 async fn close_code_for(address: SocketAddr, bytes: &[u8]) -> Option<u16> {
-    let mut socket = connect(address, Some("isopeel.v2"))
-        .await
-        .expect("the handshake is accepted");
-    socket.get_mut().write_all(bytes).await.expect("sent");
-    while let Some(Ok(message)) = socket.next().await {
-        if let Message::Close(reason) = message {
-            return reason.map(|reason| reason.code.into());
-        }
-    }
-    None
+    let mut connection = connect(address).await;
+    connection.stream_mut().write_all(bytes).await.expect("sent");
+    connection.close_code().await.ok().flatten()
 }
 
 #[tokio::test]
@@ -255,21 +248,8 @@ fn median(times: &[Duration]) -> Duration {
 
 /// Opens and opens, as fast as it can send.
 async fn flood(address: SocketAddr) {
-    let mut socket = connect(address, Some("isopeel.v2"))
-        .await
-        .expect("the handshake is accepted");
-    let open = format!("{{\"type\":\"open\",\"volume\":{:?}}}", demo::ID);
-    let (mut sink, mut stream) = {
-        use futures_util::StreamExt as _;
-        socket.get_mut().set_nodelay(true).expect("a socket");
-        socket.split()
-    };
-    let reading = tokio::spawn(async move { while let Some(Ok(_)) = stream.next().await {} });
-    while futures_util::SinkExt::send(&mut sink, Message::text(open.clone()))
-        .await
-        .is_ok()
-    {}
-    reading.abort();
+    let open = Message::text(json!({"type": "open", "volume": demo::ID}).to_string());
+    crowd::flood(connect(address).await, || open.clone()).await;
 }
 
 #[tokio::test]
@@ -391,13 +371,7 @@ async fn without_a_token_there_is_no_access() {
         http::post_json(address, "/api/v1/extract", &export(0)).problem(401),
         "unauthorized"
     );
-    assert_eq!(
-        connect(address, Some("isopeel.v2"))
-            .await
-            .err()
-            .map(|status| status.as_u16()),
-        Some(401)
-    );
+    assert_eq!(status(Connection::connect(address).await), Some(401));
     // The page itself and the health endpoint are open.
     assert_eq!(http::get(address, "/healthz").status, 200);
 

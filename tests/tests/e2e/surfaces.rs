@@ -1,10 +1,8 @@
 //! Up to four surfaces on one connection, which share its budget.
 
-use std::collections::HashMap;
-
+use isopeel_client::same_meshes;
 use serde_json::{Value, json};
 
-use crate::support::chunk::Chunk;
 use crate::support::viewer::{Frame, Viewer};
 use crate::support::{demo, mesh, server};
 
@@ -47,21 +45,6 @@ fn message(surface: usize, decides: &Value) -> Value {
     edit
 }
 
-fn triangles(meshes: &HashMap<[u32; 3], Chunk>) -> u64 {
-    meshes.values().map(|chunk| chunk.triangles.len() as u64).sum()
-}
-
-#[track_caller]
-fn assert_same(one: &HashMap<[u32; 3], Chunk>, other: &HashMap<[u32; 3], Chunk>) {
-    assert_eq!(one.len(), other.len(), "regions");
-    for (region, chunk) in one {
-        assert!(
-            other.get(region).is_some_and(|other| chunk.same_mesh(other)),
-            "region {region:?}"
-        );
-    }
-}
-
 /// If the budget does not couple them, each surface has the same bytes as it has alone.
 #[tokio::test]
 async fn surfaces_are_what_they_are_alone() {
@@ -79,13 +62,16 @@ async fn surfaces_are_what_they_are_alone() {
         let mut edit = edit(surface, decides);
         edit["surface"] = json!(0);
         alone.edit_and_rest(edit).await;
-        assert_same(&viewer.surfaces[surface].shown, &alone.shown);
+        assert!(
+            same_meshes(&viewer.surfaces[surface].shown, &alone.shown),
+            "surface {surface}"
+        );
         assert!(!alone.shown.is_empty());
     }
     // An edit of one leaves the others as they are.
     let before = viewer.surfaces[0].shown.clone();
     viewer.edit(json!({"surface": 1, "beta": 0.05})).await;
-    assert_same(&viewer.surfaces[0].shown, &before);
+    assert!(same_meshes(&viewer.shown, &before));
 }
 
 #[tokio::test]
@@ -101,7 +87,7 @@ async fn a_budget_is_kept_and_filled_by_all_surfaces_together() {
     let counts: Vec<u64> = viewer
         .surfaces
         .iter()
-        .map(|surface| triangles(&surface.shown))
+        .map(|surface| surface.triangles() as u64)
         .collect();
     let sum: u64 = counts.iter().sum();
     assert!(sum <= budget && sum * 100 >= budget * 95, "{counts:?} of {budget}");
@@ -114,7 +100,7 @@ async fn a_budget_is_kept_and_filled_by_all_surfaces_together() {
     let remove = vec![json!({"type": "remove", "surface": 0})];
     settle(&mut viewer, remove, &[1, 2, 3], &[1, 2, 3]).await;
     assert!(viewer.surfaces[0].shown.is_empty());
-    let sum: u64 = viewer.surfaces.iter().map(|surface| triangles(&surface.shown)).sum();
+    let sum: u64 = viewer.surfaces.iter().map(|surface| surface.triangles() as u64).sum();
     assert!(sum <= budget && sum * 100 >= budget * 95, "{sum} of {budget}");
 }
 

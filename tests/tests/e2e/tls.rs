@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use isopeel_client::{Connection, request};
 use serde_json::json;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpStream;
@@ -13,7 +14,6 @@ use tokio_rustls::client::TlsStream;
 use tokio_rustls::rustls::pki_types::pem::PemObject;
 use tokio_rustls::rustls::pki_types::{CertificateDer, ServerName};
 use tokio_rustls::rustls::{ClientConfig, RootCertStore};
-use tokio_tungstenite::tungstenite::client::IntoClientRequest;
 
 use crate::support::{command, process};
 
@@ -98,21 +98,11 @@ async fn connections_are_encrypted_and_the_certificate_is_renewed() {
         cookie.starts_with(&name) && cookie.ends_with("; Path=/; HttpOnly; SameSite=Lax; Secure"),
         "{cookie}"
     );
-    let mut request = "wss://localhost/api/v1/stream"
-        .into_client_request()
-        .expect("a request");
     let pair = cookie.split(';').next().expect("a pair");
-    for (name, value) in [
-        ("sec-websocket-protocol", "isopeel.v2"),
-        ("origin", "https://localhost"),
-        ("cookie", pair),
-    ] {
-        request.headers_mut().insert(name, value.parse().expect("a header"));
-    }
+    let headers = [("origin", "https://localhost"), ("cookie", pair)];
+    let request = request("localhost", "", &headers).expect("a request");
     let socket = connect(address, &first).await.expect("a connection");
-    let (mut stream, _) = tokio_tungstenite::client_async(request, socket)
-        .await
-        .expect("a stream");
+    let stream = Connection::handshake_on(socket, request, None).await.expect("a stream");
 
     // A half-written file has no effect. A complete one is used from then on; open connections stay open.
     std::fs::write(&files.certificate, "-----BEGIN CERTIFICATE-----\n").expect("written");
@@ -130,7 +120,7 @@ async fn connections_are_encrypted_and_the_certificate_is_renewed() {
         tokio::time::sleep(Duration::from_millis(20)).await;
     }
     assert!(connect(address, &first).await.is_err(), "the old certificate is gone");
-    stream.close(None).await.expect("the stream is open still");
+    stream.close().await.expect("the stream is open still");
     server.signal("TERM");
     assert!(server.ended_within(Duration::from_secs(10)).success());
 }

@@ -4,14 +4,11 @@ use std::net::SocketAddr;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use futures_util::StreamExt;
+use isopeel_client::{Connection, Error};
 use serde_json::json;
-use tokio::net::TcpStream;
-use tokio_tungstenite::WebSocketStream;
-use tokio_tungstenite::tungstenite::Message;
 
 use crate::jobs::{Setting, extraction, request};
-use crate::support::viewer::connect_with;
+use crate::support::viewer::status;
 use crate::support::{command, http, process};
 
 /// Runs `isopeel token create`; returns the token.
@@ -43,10 +40,9 @@ fn until_status(address: SocketAddr, token: &str, status: u16) {
     }
 }
 
-async fn connect(address: SocketAddr, token: &str) -> Result<WebSocketStream<TcpStream>, u16> {
+async fn connect(address: SocketAddr, token: &str) -> Result<Connection, Error> {
     let bearer = format!("Bearer {token}");
-    let connected = connect_with(address, "", &[("authorization", &bearer)]).await;
-    connected.map_err(|status| status.as_u16())
+    Connection::connect_with(address, "", &[("authorization", &bearer)]).await
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -69,7 +65,7 @@ async fn a_token_is_for_its_roles_and_until_it_is_revoked() {
     assert_eq!(ask(address, "GET", "/api/v1/volumes", &bob, "").status, 200);
     let refused = ask(address, "GET", "/api/v1/volumes/ball/slices?axis=x&index=0", &bob, "");
     assert_eq!(refused.problem(403), "forbidden");
-    assert_eq!(connect(address, &bob).await.err(), Some(403));
+    assert_eq!(status(connect(address, &bob).await), Some(403));
     assert_eq!(
         ask(address, "GET", "/api/v1/memory", &before, "").problem(403),
         "forbidden"
@@ -144,15 +140,14 @@ async fn a_ticket_opens_one_stream_and_is_in_no_log() {
     };
     let (first, second) = (ticket(), ticket());
     let open = async |ticket: &str, headers: &[(&'static str, &str)]| {
-        let connected = connect_with(address, &format!("?ticket={ticket}"), headers).await;
-        connected.map(drop).map_err(|status| status.as_u16())
+        status(Connection::connect_with(address, &format!("?ticket={ticket}"), headers).await)
     };
-    assert_eq!(open(&first, &[page]).await, Ok(()));
-    assert_eq!(open(&first, &[page]).await, Err(401), "used");
-    assert_eq!(open(&second, &[evil]).await, Err(403), "a page that may not");
-    assert_eq!(open(&second, &[]).await, Err(401), "another page's");
-    assert_eq!(open(&second, &[page]).await, Ok(()), "others do not use it up");
-    assert_eq!(open("", &[page]).await, Err(401));
+    assert_eq!(open(&first, &[page]).await, None);
+    assert_eq!(open(&first, &[page]).await, Some(401), "used");
+    assert_eq!(open(&second, &[evil]).await, Some(403), "a page that may not");
+    assert_eq!(open(&second, &[]).await, Some(401), "another page's");
+    assert_eq!(open(&second, &[page]).await, None, "others do not use it up");
+    assert_eq!(open("", &[page]).await, Some(401));
     let path = format!("/api/v1/volumes?ticket={}", ticket());
     let answer = http::send(address, "GET", &path, &[page], b"").expect("an answer");
     assert_eq!(answer.problem(401), "unauthorized", "for streams alone");
@@ -221,7 +216,8 @@ async fn a_token_that_is_lent_is_for_less_and_ends_with_the_lenders() {
 
     let ticket = ask(address, "POST", "/api/v1/tickets", lent, "").json();
     let query = format!("?ticket={}", ticket["ticket"].as_str().expect("a ticket"));
-    let mut viewer = connect_with(address, &query, &[]).await.expect("a stream");
+    let connected = Connection::connect_with(address, &query, &[]).await;
+    let mut viewer = connected.expect("a stream");
     command::succeed(["token", "revoke", "--state-folder", folder, id(&site)]);
     assert_eq!(close_code_of_revoked(&mut viewer).await, Some(4004));
     assert_eq!(
@@ -231,12 +227,11 @@ async fn a_token_that_is_lent_is_for_less_and_ends_with_the_lenders() {
 }
 
 /// The code with which a stream is closed; the only message before states that its token is not valid any more.
-async fn close_code_of_revoked(viewer: &mut WebSocketStream<TcpStream>) -> Option<u16> {
+async fn close_code_of_revoked(viewer: &mut Connection) -> Option<u16> {
     loop {
-        match viewer.next().await.expect("a close frame").expect("no error") {
-            Message::Close(reason) => return reason.map(|reason| u16::from(reason.code)),
-            Message::Text(text) => assert!(text.contains(r#""code":"unauthorized""#), "{text}"),
-            _ => {}
+        match viewer.next_message().await {
+            Err(Error::Closed(code)) => return code,
+            message => assert_eq!(message.expect("no error")["code"], "unauthorized"),
         }
     }
 }

@@ -6,7 +6,7 @@ use std::os::unix::net::UnixStream;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-use tokio_tungstenite::tungstenite::client::IntoClientRequest;
+use isopeel_client::{Connection, request};
 
 use crate::support::{command, server};
 
@@ -53,16 +53,12 @@ async fn a_unix_socket_is_its_users_and_asks_for_no_token() {
     // As by a tunnel of ssh, whose end is a port of another machine.
     assert_eq!(status("localhost:9000", "/api/v1/volumes").as_deref(), Some("200"));
     assert_eq!(status("evil.example", "/api/v1/volumes").as_deref(), Some("421"));
-    let mut request = "ws://localhost/api/v1/stream".into_client_request().expect("a request");
-    let protocol = "isopeel.v2".parse().expect("a header");
-    request.headers_mut().insert("sec-websocket-protocol", protocol);
+    let request = request("localhost", "", &[]).expect("a request");
     let socket = tokio::net::UnixStream::connect(&path)
         .await
         .expect("the server listens");
-    let (mut stream, _) = tokio_tungstenite::client_async(request, socket)
-        .await
-        .expect("a stream");
-    stream.close(None).await.expect("it is open");
+    let stream = Connection::handshake_on(socket, request, None).await.expect("a stream");
+    stream.close().await.expect("it is open");
 
     let said = command::fail(["serve", "--listen", &address]);
     assert!(

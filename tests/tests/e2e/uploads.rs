@@ -6,13 +6,11 @@ use std::net::TcpStream;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use futures_util::{SinkExt, StreamExt};
+use isopeel_client::Connection;
 use serde_json::{Value, json};
-use tokio_tungstenite::tungstenite::Message;
 
 use crate::jobs::{checksum, extraction};
 use crate::support::uploader::{PART, Setting, User, declared, send_half};
-use crate::support::viewer::connect_with;
 use crate::support::{command, http, process, repository};
 
 /// Waits for something that comes soon.
@@ -274,12 +272,11 @@ async fn nobody_sees_what_another_has_brought() {
 
     // On the stream.
     let open = async |user: &User, id: &str| {
-        let mut socket = connect_with(user.address, "", &[("authorization", &user.bearer)])
-            .await
-            .expect("a stream");
-        let open = json!({"type": "open", "volume": id}).to_string();
-        socket.send(Message::text(open)).await.expect("sent");
-        socket
+        let connected = Connection::connect_with(user.address, "", &[("authorization", &user.bearer)]).await;
+        let mut connection = connected.expect("a stream");
+        let open = json!({"type": "open", "volume": id});
+        connection.send(&open).await.expect("sent");
+        connection
     };
     let mut bobs = open(&bob, &id).await;
     let refused = next(&mut bobs).await;
@@ -302,9 +299,7 @@ async fn nobody_sees_what_another_has_brought() {
         }
     };
     assert_eq!((&told["code"], &told["open"]), (&json!("volume-removed"), &json!(true)));
-    anns.send(Message::text(json!({"type": "edit", "iso": 1.0}).to_string()))
-        .await
-        .expect("sent");
+    anns.send(&json!({"type": "edit", "iso": 1.0})).await.expect("sent");
     assert_eq!(next(&mut anns).await["code"], "not-open");
     assert!(ann.volumes().is_empty());
     assert_eq!(ann.get(&format!("/api/v1/volumes/{id}")).problem(404), "unknown-volume");
@@ -335,15 +330,9 @@ async fn nobody_sees_what_another_has_brought() {
 }
 
 /// Returns the next message of a stream; skips chunks.
-async fn next(socket: &mut tokio_tungstenite::WebSocketStream<tokio::net::TcpStream>) -> Value {
-    loop {
-        let waiting = tokio::time::timeout(Duration::from_secs(60), socket.next()).await;
-        match waiting.expect("a message").expect("not the end").expect("no error") {
-            Message::Text(text) => return serde_json::from_str(&text).expect("JSON"),
-            Message::Close(reason) => panic!("closed: {reason:?}"),
-            _ => {}
-        }
-    }
+async fn next(connection: &mut Connection) -> Value {
+    let message = tokio::time::timeout(Duration::from_secs(60), connection.next_message()).await;
+    message.expect("a message").expect("no error")
 }
 
 #[test]

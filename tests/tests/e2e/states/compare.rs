@@ -1,11 +1,11 @@
 //! Compares two viewers of equal views, which must not differ.
 
-use std::collections::{BTreeSet, HashMap};
+use std::collections::BTreeSet;
 
+use isopeel_client::{Chunk, Meshes};
 use serde_json::Value;
 
 use super::seat::{Failed, Final, Measured, Outcome};
-use crate::support::chunk::Chunk;
 
 /// Numbers of `statistics` that describe the surface, not the effort.
 const STATISTICS: [&str; 18] = [
@@ -32,7 +32,8 @@ const STATISTICS: [&str; 18] = [
 const STATISTICS_TOLERANCE: f64 = 2e-5;
 const MEASURED_TOLERANCE: f64 = 1e-3;
 
-pub type Regions = HashMap<[u32; 3], Chunk>;
+/// Meshes by region.
+pub type Regions = Meshes;
 
 /// A difference from the expected state: its kind and details.
 #[derive(Clone, Debug)]

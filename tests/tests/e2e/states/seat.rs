@@ -4,6 +4,7 @@ use std::collections::{HashMap, HashSet};
 use std::net::SocketAddr;
 use std::time::Duration;
 
+use isopeel_client::{Chunk, Mesher};
 use serde_json::{Value, json};
 use tokio::net::TcpSocket;
 use tokio::time::{Instant, timeout_at};
@@ -11,7 +12,6 @@ use tokio::time::{Instant, timeout_at};
 use super::compare::{Difference, Regions};
 use super::model::{Model, View};
 use super::volumes::MISSING;
-use crate::support::chunk::Chunk;
 use crate::support::mesh::open_edges;
 use crate::support::viewer::{Frame, Viewer};
 
@@ -259,7 +259,7 @@ impl Seat {
             }
             Frame::Prefix(of) => {
                 self.prefixes += 1;
-                self.is_marched = of.is_marched;
+                self.is_marched = of.mesher == Mesher::MarchingCubes;
                 // Those of its generations before.
                 self.errors
                     .retain(|error| error.surface.is_some_and(|surface| surface != of.surface));

@@ -1,39 +1,7 @@
 //! Properties of every mesh of isopeel, measured on its triangles.
 
+use isopeel_client::{Chunk, LATTICE};
 use isopeel_reference::edges::{self, Edge};
-
-use super::chunk::{Chunk, LATTICE};
-
-/// Checks that the stated bounds are the bounding box of the vertices, within half a lattice unit of rounding.
-#[track_caller]
-pub fn assert_bounds(chunk: &Chunk) {
-    if chunk.vertices.is_empty() {
-        assert_eq!(chunk.bounds, [0.0; 6], "bounds of the empty region {:?}", chunk.region);
-        return;
-    }
-    let mut found = [
-        f64::INFINITY,
-        f64::INFINITY,
-        f64::INFINITY,
-        f64::NEG_INFINITY,
-        f64::NEG_INFINITY,
-        f64::NEG_INFINITY,
-    ];
-    for vertex in 0..chunk.vertices.len() as u32 {
-        for (axis, value) in chunk.position(vertex).into_iter().enumerate() {
-            found[axis] = found[axis].min(value);
-            found[axis + 3] = found[axis + 3].max(value);
-        }
-    }
-    for (side, (found, stated)) in found.into_iter().zip(chunk.bounds).enumerate() {
-        let allowed = 0.51 / f64::from(LATTICE);
-        assert!(
-            (found - f64::from(stated)).abs() <= allowed,
-            "bounds of region {:?}, side {side}: stated {stated}, the vertices reach {found}",
-            chunk.region
-        );
-    }
-}
 
 /// Edges that have different numbers of triangles in their two directions, by the bits of their ends' positions across all regions.
 /// Edges in the volume's own faces, at which a surface may end, are left out.

@@ -1,16 +1,12 @@
-//! Shared code of the tests: a server, clients that do not use its code, and readers of its files.
+//! Shared code of the tests: a server, a client that does not use its code, and readers of its files.
 
 pub mod ball;
-pub mod chunk;
 pub mod command;
 pub mod files;
-pub mod frame;
 pub mod http;
 pub mod mesh;
-pub mod predictive;
 pub mod process;
 pub mod server;
-pub mod surface;
 pub mod uploader;
 pub mod viewer;
 

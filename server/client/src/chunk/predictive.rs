@@ -1,8 +1,8 @@
-//! The coding `predictive`, read by `server/PROTOCOL.md` section 4.1 alone.
+//! The coding `predictive`: section 4.1 of the protocol.
 
 use std::collections::HashMap;
 
-use super::chunk::Vertex;
+use super::Vertex;
 
 /// The models of bits: of each kind, by context.
 #[derive(Clone, Copy, PartialEq, Eq, Hash)]
@@ -56,7 +56,7 @@ impl<'a> Reader<'a> {
     }
 
     fn byte(&mut self) -> Result<(), String> {
-        let byte = self.payload.get(self.at).ok_or("predictive payload: too short")?;
+        let byte = self.payload.get(self.at).ok_or("too short")?;
         self.code = self.code << 8 | u32::from(*byte);
         self.at += 1;
         Ok(())
@@ -100,20 +100,24 @@ impl<'a> Reader<'a> {
         Ok(value)
     }
 
-    fn number(&mut self, of: Number, context: usize) -> Result<i32, String> {
+    fn number(&mut self, model: Number, context: usize) -> Result<i32, String> {
         let mut bits = 0;
-        while bits < 20 && self.bit(Kind::Longer(of), 20 * context + bits)? {
+        while bits < 20 && self.bit(Kind::Longer(model), 20 * context + bits)? {
             bits += 1;
         }
         if bits == 0 {
             return Ok(0);
         }
-        let sign = if self.bit(Kind::Negative(of), context)? { -1 } else { 1 };
+        let sign = if self.bit(Kind::Negative(model), context)? {
+            -1
+        } else {
+            1
+        };
         let mut magnitude = 1;
         for place in 0..bits - 1 {
             let bit = match place {
-                0 => i32::from(self.bit(Kind::Below(of), 3 * bits)?),
-                1 => i32::from(self.bit(Kind::Below(of), 3 * bits + 1 + (magnitude & 1) as usize)?),
+                0 => i32::from(self.bit(Kind::Below(model), 3 * bits)?),
+                1 => i32::from(self.bit(Kind::Below(model), 3 * bits + 1 + (magnitude & 1) as usize)?),
                 _ => self.raw(1)?,
             };
             magnitude = 2 * magnitude + bit;
@@ -173,14 +177,14 @@ pub fn decode(payload: &[u8], vertices: usize, triangles: usize) -> Result<Mesh,
                 stack.extend(decoder.follow(edge)?);
             }
             if decoder.triangles.len() > triangles || decoder.vertices.len() > vertices {
-                return Err("predictive payload: more than the header says".into());
+                return Err("more than the header says".into());
             }
         }
     }
     decoder.normals()?;
     if decoder.vertices.len() != vertices || decoder.reader.at != payload.len() {
         return Err(format!(
-            "predictive payload: {} of {vertices} vertices, {} of {} bytes",
+            "{} of {vertices} vertices, {} of {} bytes",
             decoder.vertices.len(),
             decoder.reader.at,
             payload.len()
@@ -324,11 +328,11 @@ impl Decoder<'_> {
 
     fn old(&mut self) -> Result<usize, String> {
         let age = self.reader.number(Number::Age, 0)?;
-        let of = self.vertices.len() as i32;
-        if age < 0 || age >= of {
-            Err(format!("age {age} of {of} vertices"))
+        let count = self.vertices.len() as i32;
+        if age < 0 || age >= count {
+            Err(format!("age {age} of {count} vertices"))
         } else {
-            Ok((of - 1 - age) as usize)
+            Ok((count - 1 - age) as usize)
         }
     }
 
@@ -401,9 +405,9 @@ impl Decoder<'_> {
         p[z] = predicted + self.reader.number(Number::Depth, size)?;
         let (of_a, of_b) = (self.features(edge.from), self.features(edge.to));
         let mut features = [0; 2];
-        for (i, of) in [Number::Smoothness, Number::Feature].into_iter().enumerate() {
+        for (i, model) in [Number::Smoothness, Number::Feature].into_iter().enumerate() {
             let context = bits(of_a[i] - of_b[i]).min(9);
-            features[i] = (of_a[i] + of_b[i]).div_euclid(2) + self.reader.number(of, context)?;
+            features[i] = (of_a[i] + of_b[i]).div_euclid(2) + self.reader.number(model, context)?;
         }
         Ok(self.add(p, stored(features)?))
     }

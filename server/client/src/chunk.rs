@@ -1,0 +1,367 @@
+//! Mesh chunks: section 4 of the protocol.
+
+mod predictive;
+
+use std::ops::Range;
+
+/// Length of the header.
+pub(crate) const HEADER: usize = 96;
+/// Lattice units per cell.
+pub const LATTICE: i32 = 64;
+/// Cells per axis of a region.
+const REGION: i32 = 32;
+/// Bytes of a vertex before encoding.
+const VERTEX: usize = 12;
+/// Maximum number of vertices and of indices.
+const MAX_COUNT: usize = 627_264;
+/// Above every coordinate of a region whose lattice positions fit in 32 bits.
+const MAX_REGION: u32 = 1 << 19;
+
+/// Why a frame is no chunk.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum ChunkError {
+    /// The frame is shorter than a header.
+    #[error("{0} bytes, a header has {HEADER}")]
+    Short(usize),
+    /// A field has a wrong value.
+    #[error("{field}: {found}, expected {expected}")]
+    Field {
+        /// Name of the field.
+        field: &'static str,
+        /// Value in the frame.
+        found: String,
+        /// Expected value.
+        expected: String,
+    },
+    /// A payload cannot be decoded.
+    #[error("payload: {0}")]
+    Payload(String),
+}
+
+/// A decoded chunk of kind `cut`: the mesh of one region.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Chunk {
+    /// Number of the surface.
+    pub surface: u8,
+    /// Generation of the surface.
+    pub generation: u32,
+    /// Level of the prefix.
+    pub prefix_level: u8,
+    /// Coordinates of the region.
+    pub region: [u32; 3],
+    /// Index space: min x, y, z, max x, y, z.
+    pub bounds: [f32; 6],
+    /// Vertices; empty if the region has no surface.
+    pub vertices: Vec<Vertex>,
+    /// Corners of the triangles, finest level first.
+    pub triangles: Vec<[u32; 3]>,
+    /// Triangles of each level, 0 first.
+    pub level_triangles: [u32; 6],
+    /// Bytes of the whole frame.
+    pub frame_bytes: usize,
+    /// Whether its coding is `predictive`.
+    pub is_predictive: bool,
+}
+
+/// A decoded vertex.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Vertex {
+    /// Lattice units from the region's low corner.
+    pub position: [i16; 3],
+    /// Octahedral, over 127.
+    pub normal: [i8; 2],
+    /// `s` over 65535.
+    pub smoothness: u16,
+    /// `f̂` over 65535.
+    pub feature: u16,
+}
+
+impl Vertex {
+    /// Returns the unit normal towards lower values.
+    pub fn unit_normal(&self) -> [f64; 3] {
+        let [x, y] = self.normal.map(|v| f64::from(v) / 127.0);
+        let z = 1.0 - x.abs() - y.abs();
+        let sign = |v: f64| if v < 0.0 { -1.0 } else { 1.0 };
+        let (x, y) = if z < 0.0 {
+            ((1.0 - y.abs()) * sign(x), (1.0 - x.abs()) * sign(y))
+        } else {
+            (x, y)
+        };
+        let length = (x * x + y * y + z * z).sqrt();
+        [x / length, y / length, z / length]
+    }
+}
+
+impl Chunk {
+    /// Decodes a frame.
+    pub fn decode(frame: &[u8]) -> Result<Self, ChunkError> {
+        let header = Header::new(frame)?;
+        expect("kind", header.kind(), 0)?;
+        check(frame[15] <= 1, "flags", frame[15], "0 or 1")?;
+        check(header.level() <= 5, "level of the prefix", header.level(), "0 to 5")?;
+        let is_predictive = frame[15] == 1;
+        let (vertex_count, index_count) = (header.vertex_count(), header.index_count());
+        let (vertex_bytes, index_bytes) = (header.u32(64) as usize, header.u32(68) as usize);
+        expect("frame length", frame.len(), HEADER + vertex_bytes + index_bytes)?;
+        expect("index count modulo 3", index_count % 3, 0)?;
+        for (field, count) in [("vertex count", vertex_count), ("index count", index_count)] {
+            check(count <= MAX_COUNT, field, count, "at most 627,264")?;
+        }
+        let level_triangles: [u32; 6] = std::array::from_fn(|level| header.u32(72 + 4 * level));
+        let sum = level_triangles.iter().map(|&n| n as usize).sum::<usize>();
+        expect("sum of the triangles of each level", sum, index_count / 3)?;
+        if vertex_count == 0 {
+            expect(
+                "payload of an empty chunk",
+                (vertex_bytes, index_bytes, index_count),
+                (0, 0, 0),
+            )?;
+        }
+
+        let (vertex_payload, index_payload) = frame[HEADER..].split_at(vertex_bytes);
+        let (vertices, triangles) = if is_predictive {
+            expect("index payload of the coding predictive", index_bytes, 0)?;
+            let mesh =
+                predictive::decode(vertex_payload, vertex_count, index_count / 3).map_err(ChunkError::Payload)?;
+            expect("levels", mesh.levels, level_triangles)?;
+            (mesh.vertices, mesh.triangles)
+        } else {
+            let vertices = decode_vertices(vertex_payload, vertex_count)?;
+            (vertices, decode_triangles(index_payload, index_count)?)
+        };
+        let vertices_used = triangles.iter().flatten().max().map_or(0, |&index| index as usize + 1);
+        check(
+            vertices_used <= vertex_count,
+            "indices",
+            vertices_used,
+            "the vertex count",
+        )?;
+        let chunk = Self {
+            surface: header.surface(),
+            generation: header.generation(),
+            prefix_level: header.level(),
+            region: header.region(),
+            bounds: std::array::from_fn(|i| f32::from_bits(header.u32(32 + 4 * i))),
+            vertices,
+            triangles,
+            level_triangles,
+            frame_bytes: frame.len(),
+            is_predictive,
+        };
+        chunk.check_bounds()?;
+        Ok(chunk)
+    }
+
+    /// Checks that the bounds are the bounding box of the vertices, within half a lattice unit of rounding.
+    fn check_bounds(&self) -> Result<(), ChunkError> {
+        let mut expected = [f64::INFINITY, f64::NEG_INFINITY].map(|end| [end; 3]);
+        for vertex in 0..self.vertices.len() as u32 {
+            for (axis, value) in self.position(vertex).into_iter().enumerate() {
+                expected[0][axis] = expected[0][axis].min(value);
+                expected[1][axis] = expected[1][axis].max(value);
+            }
+        }
+        if self.vertices.is_empty() {
+            expected = [[0.0; 3]; 2];
+        }
+        let mut ends = self.bounds.into_iter().zip(expected.as_flattened());
+        let is_close =
+            |(found, expected): (f32, &f64)| (f64::from(found) - expected).abs() <= 0.51 / f64::from(LATTICE);
+        check(
+            ends.all(is_close),
+            "bounds",
+            format!("{:?}", self.bounds),
+            format!("{expected:?}"),
+        )
+    }
+
+    /// Returns the position of a vertex on the lattice of the whole volume: equal numbers are the same point in all regions. Panics
+    /// beyond the last vertex.
+    pub fn lattice(&self, vertex: u32) -> [i32; 3] {
+        let position = self.vertices[vertex as usize].position;
+        std::array::from_fn(|axis| self.region[axis] as i32 * REGION * LATTICE + i32::from(position[axis]))
+    }
+
+    /// Returns the position of a vertex in index space. Panics beyond the last vertex.
+    pub fn position(&self, vertex: u32) -> [f64; 3] {
+        self.lattice(vertex).map(|v| f64::from(v) / f64::from(LATTICE))
+    }
+
+    /// Returns the range of the triangles of a level, 0 to 5.
+    pub fn triangles_of_level(&self, level: usize) -> Range<usize> {
+        let start = self.level_triangles[..level].iter().sum::<u32>() as usize;
+        start..start + self.level_triangles[level] as usize
+    }
+
+    /// Returns whether two chunks have the same mesh, regardless of generation, prefix and the order of triangles.
+    pub fn same_mesh(&self, other: &Self) -> bool {
+        self.sorted() == other.sorted()
+    }
+
+    /// Level and corners of all triangles, the lowest corner first.
+    fn sorted(&self) -> Vec<(usize, [Vertex; 3])> {
+        let of_level = |level| {
+            self.triangles[self.triangles_of_level(level)]
+                .iter()
+                .map(move |t| (level, *t))
+        };
+        let mut sorted: Vec<_> = (0..6)
+            .flat_map(of_level)
+            .map(|(level, [a, b, c])| {
+                let turned = [[a, b, c], [b, c, a], [c, a, b]];
+                let corners = turned.map(|turned| turned.map(|index| self.vertices[index as usize]));
+                (level, corners.into_iter().min().unwrap_or(corners[0]))
+            })
+            .collect();
+        sorted.sort_unstable();
+        sorted
+    }
+}
+
+fn decode_vertices(payload: &[u8], count: usize) -> Result<Vec<Vertex>, ChunkError> {
+    if count == 0 {
+        return Ok(Vec::new());
+    }
+    let version = meshopt::decode_vertex_version(payload);
+    expect("version of the vertex codec", version, Some(1))?;
+    let raw: Vec<[u8; VERTEX]> =
+        meshopt::decode_vertex_buffer(payload, count).map_err(|error| ChunkError::Payload(error.to_string()))?;
+    let u16_at = |raw: &[u8; VERTEX], at: usize| u16::from_le_bytes([raw[at], raw[at + 1]]);
+    let vertex = |raw: &[u8; VERTEX]| Vertex {
+        position: [0, 2, 4].map(|at| u16_at(raw, at) as i16),
+        normal: [raw[6] as i8, raw[7] as i8],
+        smoothness: u16_at(raw, 8),
+        feature: u16_at(raw, 10),
+    };
+    Ok(raw.iter().map(vertex).collect())
+}
+
+fn decode_triangles(payload: &[u8], index_count: usize) -> Result<Vec<[u32; 3]>, ChunkError> {
+    if index_count == 0 {
+        return Ok(Vec::new());
+    }
+    let indices: Vec<u32> =
+        meshopt::decode_index_buffer(payload, index_count).map_err(|error| ChunkError::Payload(error.to_string()))?;
+    Ok(indices.chunks_exact(3).map(|t| [t[0], t[1], t[2]]).collect())
+}
+
+fn check(
+    condition: bool,
+    field: &'static str,
+    found: impl ToString,
+    expected: impl ToString,
+) -> Result<(), ChunkError> {
+    if condition {
+        return Ok(());
+    }
+    Err(ChunkError::Field {
+        field,
+        found: found.to_string(),
+        expected: expected.to_string(),
+    })
+}
+
+fn expect<T: PartialEq + std::fmt::Debug>(field: &'static str, found: T, expected: T) -> Result<(), ChunkError> {
+    let is_equal = found == expected;
+    check(is_equal, field, format!("{found:?}"), format!("{expected:?}"))
+}
+
+/// Header of a frame: the fields that chunks of both kinds have.
+#[derive(Clone, Copy)]
+pub(crate) struct Header<'a>(&'a [u8]);
+
+impl<'a> Header<'a> {
+    /// Checks length, magic, version, surface and the fields that are always the same.
+    pub fn new(frame: &'a [u8]) -> Result<Self, ChunkError> {
+        if frame.len() < HEADER {
+            return Err(ChunkError::Short(frame.len()));
+        }
+        let header = Self(frame);
+        expect("magic", &frame[0..4], b"ISOP".as_slice())?;
+        expect("version", header.u16(4), 2)?;
+        expect("header length", usize::from(header.u16(6)), HEADER)?;
+        expect("lattice units per cell", i32::from(header.u16(16)), LATTICE)?;
+        expect("bytes 18 and 19", header.u16(18), 0)?;
+        check(header.surface() <= 3, "surface", header.surface(), "0 to 3")?;
+        let is_near = header.region().iter().all(|&c| c < MAX_REGION);
+        check(is_near, "region", format!("{:?}", header.region()), "below 524,288")?;
+        Ok(header)
+    }
+
+    pub fn generation(self) -> u32 {
+        self.u32(8)
+    }
+
+    pub fn level(self) -> u8 {
+        self.0[12]
+    }
+
+    /// 0 `cut`, 1 `error`.
+    pub fn kind(self) -> u8 {
+        self.0[13]
+    }
+
+    pub fn surface(self) -> u8 {
+        self.0[14]
+    }
+
+    pub fn region(self) -> [u32; 3] {
+        [20, 24, 28].map(|at| self.u32(at))
+    }
+
+    pub fn vertex_count(self) -> usize {
+        self.u32(56) as usize
+    }
+
+    pub fn index_count(self) -> usize {
+        self.u32(60) as usize
+    }
+
+    fn u16(self, at: usize) -> u16 {
+        u16::from_le_bytes([self.0[at], self.0[at + 1]])
+    }
+
+    pub fn u32(self, at: usize) -> u32 {
+        u32::from_le_bytes([0, 1, 2, 3].map(|i| self.0[at + i]))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A frame of `vertices` vertices and 12 triangles of level 0, with an arbitrary payload.
+    fn frame(coding: u8, vertices: u32, payload: &[u8]) -> Vec<u8> {
+        let mut frame = vec![0; HEADER];
+        frame[..8].copy_from_slice(b"ISOP\x02\0\x60\0");
+        frame[15] = coding;
+        frame[16] = 64;
+        let index_bytes = if coding == 1 { 0 } else { payload.len() / 2 };
+        let counts = [(56, vertices), (60, 36), (72, 12)];
+        let bytes = [(64, payload.len() - index_bytes), (68, index_bytes)];
+        for (at, value) in counts.into_iter().chain(bytes.map(|(at, n)| (at, n as u32))) {
+            frame[at..at + 4].copy_from_slice(&value.to_le_bytes());
+        }
+        [&frame, payload].concat()
+    }
+
+    #[test]
+    fn arbitrary_payloads_are_errors_and_cause_no_panic() {
+        let mut state = 1u32;
+        let mut random = || {
+            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            state >> 24
+        };
+        for n in 0..20_000 {
+            let payload: Vec<u8> = (0..random()).map(|_| random() as u8).collect();
+            let frame = frame((n % 2) as u8, random(), &payload);
+            let decoded = Chunk::decode(&frame);
+            assert!(matches!(
+                decoded,
+                Err(ChunkError::Payload(_) | ChunkError::Field { .. })
+            ));
+            let cut = &frame[..frame.len() - payload.len() / 2 - 1];
+            assert!(Chunk::decode(cut).is_err());
+        }
+    }
+}
