@@ -23,7 +23,7 @@ CRATES = {
     "server/mesh": ["isopeel-extraction", "isopeel-geometry", "isopeel-kernels", "isopeel-view", "isopeel-volumes"],
     "server/view": ["isopeel-geometry", "isopeel-kernels"],
     "server/volumes": ["isopeel-geometry", "isopeel-kernels"],
-    "server": ["isopeel-codec", "isopeel-extraction", "isopeel-geometry", "isopeel-kernels", "isopeel-mesh", "isopeel-view", "isopeel-volumes"],
+    "server": ["isopeel-client", "isopeel-codec", "isopeel-extraction", "isopeel-geometry", "isopeel-kernels", "isopeel-mesh", "isopeel-view", "isopeel-volumes"],
 }
 
 # Crates of servers and command lines, which programs that use the engine do not get.

@@ -14,7 +14,6 @@ use isopeel_kernels::SampleType;
 use isopeel_view::quality::{MaxError, MesherName, TopologyName, TriangleBudget};
 use isopeel_view::{Edit, PointJson, TransferFunctionJson};
 use isopeel_volumes::{Dataset, Geometry, ReadError, memory_dataset};
-use tokio_tungstenite::tungstenite;
 
 use super::reference::{Counts, count, equal};
 use super::volumes::Recipe;
@@ -37,30 +36,18 @@ pub enum StreamError {
     /// The server ended.
     #[error(transparent)]
     Server(#[from] ServeError),
-    /// The loopback connection failed, or a message violated the protocol.
-    #[error("the loopback connection failed")]
-    Connection(#[from] std::io::Error),
-    /// The WebSocket failed.
-    #[error("the WebSocket failed")]
-    Socket(#[source] Box<tungstenite::Error>),
-    /// The server closed the connection.
-    #[error("the server closed the connection")]
-    Closed,
-    /// The server answered with an `error`.
-    #[error("the server answered with an error: {0}")]
-    Refused(String),
+    /// The server or its runtime cannot be started.
+    #[error("the server cannot be started")]
+    Start(#[from] std::io::Error),
+    /// The client of the stream failed.
+    #[error(transparent)]
+    Client(#[from] isopeel_client::Error),
     /// No frame came.
     #[error("no frame came for {} s", .0.as_secs())]
     Silent(Duration),
     /// The samples do not make a dataset.
     #[error(transparent)]
     Dataset(#[from] ReadError),
-}
-
-impl From<tungstenite::Error> for StreamError {
-    fn from(error: tungstenite::Error) -> Self {
-        Self::Socket(Box::new(error))
-    }
 }
 
 /// Isovalues around the recipe's, none of them twice: multiples of the golden ratio, which never come close to one another.
@@ -134,7 +121,7 @@ pub(super) fn run(args: &Args, recipe: &Recipe) -> Result<(), BenchError> {
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .enable_all()
         .build()
-        .map_err(StreamError::Connection)?;
+        .map_err(StreamError::Start)?;
     runtime.block_on(async {
         let id = dataset.id.clone();
         let server = Server::start(dataset, &args.device).await?;

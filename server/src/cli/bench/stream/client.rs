@@ -4,18 +4,12 @@ use std::collections::BTreeMap;
 use std::net::SocketAddr;
 use std::time::Duration;
 
-use axum::body::Bytes;
-use futures_util::{SinkExt, StreamExt};
+use isopeel_client::{Connection, Error, RawFrame};
 use isopeel_view::Edit;
 use serde::{Deserialize, Serialize};
-use tokio::net::TcpStream;
 use tokio::time::{Instant, timeout, timeout_at};
-use tokio_tungstenite::WebSocketStream;
-use tokio_tungstenite::tungstenite::client::IntoClientRequest;
-use tokio_tungstenite::tungstenite::{self, Message, Utf8Bytes};
 
 use super::StreamError;
-use crate::wire::messages::SUBPROTOCOL;
 
 /// Longest wait for a frame: a volume of many gigabytes is read and uploaded meanwhile.
 const FRAME_TIMEOUT: Duration = Duration::from_secs(300);
@@ -36,7 +30,7 @@ enum Request<'a> {
 struct Reply<'a> {
     #[serde(rename = "type")]
     kind: &'a str,
-    #[serde(default)]
+    code: Option<String>,
     message: Option<String>,
 }
 
@@ -99,54 +93,29 @@ pub struct Dragged {
     working: bool,
 }
 
-enum Frame {
-    Text(Utf8Bytes),
-    Chunk(Bytes),
-}
-
 /// A viewer's connection.
 pub struct Client {
-    socket: WebSocketStream<TcpStream>,
+    connection: Connection,
     volume: String,
 }
 
 impl Client {
     /// Connects; no volume is open yet.
     pub async fn connect(address: SocketAddr, volume: &str) -> Result<Self, StreamError> {
-        let stream = TcpStream::connect(address).await?;
-        // As browsers do.
-        stream.set_nodelay(true)?;
-        let mut request = format!("ws://{address}/api/v1/stream").into_client_request()?;
-        let protocol = tungstenite::http::HeaderValue::from_static(SUBPROTOCOL);
-        request.headers_mut().insert("sec-websocket-protocol", protocol);
-        let (socket, _) = tokio_tungstenite::client_async(request, stream).await?;
         Ok(Self {
-            socket,
+            connection: Connection::connect(address).await?,
             volume: volume.to_owned(),
         })
     }
 
-    async fn send(&mut self, request: &Request<'_>) -> Result<(), StreamError> {
-        let text = serde_json::to_string(request).map_err(std::io::Error::from)?;
-        Ok(self.socket.send(Message::text(text)).await?)
+    async fn send_open(&mut self, step: u32) -> Result<(), Error> {
+        let volume = &self.volume;
+        self.connection.send(&Request::Open { volume, step }).await
     }
 
-    /// The next text or chunk. Cancelling loses nothing. Pings are answered here.
-    async fn next(&mut self) -> Result<Frame, StreamError> {
-        loop {
-            match self.socket.next().await.ok_or(StreamError::Closed)?? {
-                Message::Binary(chunk) => return Ok(Frame::Chunk(chunk)),
-                Message::Text(text) => return Ok(Frame::Text(text)),
-                Message::Close(_) => return Err(StreamError::Closed),
-                Message::Ping(_) | Message::Pong(_) | Message::Frame(_) => {}
-            }
-        }
-    }
-
-    async fn next_in_time(&mut self) -> Result<Frame, StreamError> {
-        timeout(FRAME_TIMEOUT, self.next())
-            .await
-            .map_err(|_| StreamError::Silent(FRAME_TIMEOUT))?
+    async fn next_in_time(&mut self) -> Result<RawFrame, StreamError> {
+        let next = timeout(FRAME_TIMEOUT, self.connection.next()).await;
+        Ok(next.map_err(|_| StreamError::Silent(FRAME_TIMEOUT))??)
     }
 
     /// Opens a step and waits for the view that it opens with.
@@ -155,13 +124,12 @@ impl Client {
         struct Opened {
             edit: Edit,
         }
-        let volume = self.volume.clone();
-        self.send(&Request::Open { volume: &volume, step }).await?;
+        self.send_open(step).await?;
         loop {
-            if let Frame::Text(text) = self.next_in_time().await?
+            if let RawFrame::Text(text) = self.next_in_time().await?
                 && kind(&text)? == "opened"
             {
-                let opened: Opened = serde_json::from_str(&text).map_err(std::io::Error::from)?;
+                let opened: Opened = serde_json::from_str(&text).map_err(Error::from)?;
                 return Ok(opened.edit);
             }
         }
@@ -170,16 +138,15 @@ impl Client {
     /// Sends an edit and reads to its `done`.
     pub async fn edit(&mut self, edit: &Edit) -> Result<Streamed, StreamError> {
         let start = Instant::now();
-        self.send(&Request::Edit(edit)).await?;
+        self.connection.send(&Request::Edit(edit)).await?;
         self.read_to_done(start).await
     }
 
     /// Opens another step and sends an edit right behind, as the protocol allows, and reads to its `done`.
     pub async fn step(&mut self, step: u32, edit: &Edit) -> Result<Streamed, StreamError> {
         let start = Instant::now();
-        let volume = self.volume.clone();
-        self.send(&Request::Open { volume: &volume, step }).await?;
-        self.send(&Request::Edit(edit)).await?;
+        self.send_open(step).await?;
+        self.connection.send(&Request::Edit(edit)).await?;
         self.read_to_done(start).await
     }
 
@@ -187,12 +154,12 @@ impl Client {
         let mut seen = Streamed::default();
         loop {
             let text = match self.next_in_time().await? {
-                Frame::Chunk(chunk) => {
+                RawFrame::Chunk(chunk) => {
                     seen.chunks += 1;
                     seen.bytes += chunk.len() as u64;
                     continue;
                 }
-                Frame::Text(text) => text,
+                RawFrame::Text(text) => text,
             };
             let now = start.elapsed();
             match kind(&text)? {
@@ -218,9 +185,9 @@ impl Client {
         let (mut last_edit, mut last_commit, mut due) = (start, start, start);
         for edit in edits {
             last_edit = Instant::now();
-            self.send(&Request::Edit(edit)).await?;
+            self.connection.send(&Request::Edit(edit)).await?;
             due += interval;
-            while let Ok(frame) = timeout_at(due, self.next()).await {
+            while let Ok(frame) = timeout_at(due, self.connection.next()).await {
                 if seen.count(&frame?, last_edit)? {
                     seen.commits += 1;
                     seen.longest_gap = seen.longest_gap.max(last_commit.elapsed());
@@ -241,7 +208,7 @@ impl Client {
         loop {
             // In the midst of a generation the server may be silent for longer.
             let limit = if seen.working { FRAME_TIMEOUT } else { QUIET };
-            match timeout(limit, self.next()).await {
+            match timeout(limit, self.connection.next()).await {
                 Ok(frame) => {
                     seen.count(&frame?, last_edit)?;
                 }
@@ -254,13 +221,13 @@ impl Client {
 
 impl Dragged {
     /// Whether the frame is a `committed`.
-    fn count(&mut self, frame: &Frame, last_edit: Instant) -> Result<bool, StreamError> {
+    fn count(&mut self, frame: &RawFrame, last_edit: Instant) -> Result<bool, Error> {
         let text = match frame {
-            Frame::Chunk(chunk) => {
+            RawFrame::Chunk(chunk) => {
                 self.bytes += chunk.len() as u64;
                 return Ok(false);
             }
-            Frame::Text(text) => text,
+            RawFrame::Text(text) => text,
         };
         match kind(text)? {
             "done" => {
@@ -278,15 +245,17 @@ impl Dragged {
 }
 
 /// Returns the kind of a text frame; an `error` is returned as an error.
-fn kind(text: &str) -> Result<&str, StreamError> {
-    let reply: Reply<'_> = serde_json::from_str(text).map_err(std::io::Error::from)?;
+fn kind(text: &str) -> Result<&str, Error> {
+    let reply: Reply<'_> = serde_json::from_str(text)?;
     if reply.kind == "error" {
-        return Err(StreamError::Refused(reply.message.unwrap_or_default()));
+        return Err(Error::Answer {
+            code: reply.code.unwrap_or_default(),
+            message: reply.message.unwrap_or_default(),
+        });
     }
     Ok(reply.kind)
 }
 
-fn statistics(done: &str) -> Result<Statistics, StreamError> {
-    let done: Done = serde_json::from_str(done).map_err(std::io::Error::from)?;
-    Ok(done.statistics)
+fn statistics(done: &str) -> Result<Statistics, Error> {
+    Ok(serde_json::from_str::<Done>(done)?.statistics)
 }
