@@ -6,11 +6,10 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use axum::Extension;
-use futures_util::{SinkExt, StreamExt};
 use isopeel::access::{Access, Identity, NewToken, Role, Token, TokenFile, TokenWatch};
 use isopeel::service::OpeningProgress;
 use isopeel::stream::{Backend, Deadlines, MAX_VIEWERS, Opening, StreamState, router};
-use isopeel_codec::decode::decode;
+use isopeel_client::{Chunk, Connection, Error, Message, RawFrame, request};
 use isopeel_extraction::{
     Answer, CutId, FullCount, Measurement, Question, Refinement, Shown, ShownSurface, Step, WorkError,
 };
@@ -23,12 +22,7 @@ use serde_json::value::RawValue;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::watch;
 use tokio::time::timeout;
-use tokio_tungstenite::tungstenite::client::IntoClientRequest;
-use tokio_tungstenite::tungstenite::{Error, Message};
-use tokio_tungstenite::{MaybeTlsStream, WebSocketStream, connect_async_with_config};
 use tokio_util::sync::CancellationToken;
-
-type Socket = WebSocketStream<MaybeTlsStream<TcpStream>>;
 
 /// Answers every extraction at once with the same surface: `regions` regions of vertices that do not compress.
 #[derive(Clone)]
@@ -188,24 +182,10 @@ async fn start_for(who: Identity, regions: u32, deadlines: Deadlines) -> Server 
 }
 
 impl Server {
-    async fn try_connect(&self, subprotocol: Option<&str>) -> Result<Socket, Error> {
-        let mut request = format!("ws://{}/api/v1/stream", self.address).into_client_request()?;
-        if let Some(name) = subprotocol {
-            let headers = request.headers_mut();
-            headers.insert("sec-websocket-protocol", name.parse().expect("a header"));
-        }
-        // Without Nagle's algorithm, as browsers: a pong would wait for the one before.
-        connect_async_with_config(request, None, true)
-            .await
-            .map(|(socket, _)| socket)
+    async fn connect(&self) -> Connection {
+        Connection::connect(self.address).await.expect("connects")
     }
 
-    async fn connect(&self) -> Socket {
-        self.try_connect(Some("isopeel.v2")).await.expect("connects")
-    }
-}
-
-impl Server {
     /// Waits until no viewer is connected.
     async fn until_empty(&self) {
         let closed = timeout(Duration::from_secs(60), self.state.closed()).await;
@@ -213,49 +193,56 @@ impl Server {
     }
 }
 
-async fn say(socket: &mut Socket, text: impl Into<String>) {
-    socket.send(Message::text(text.into())).await.expect("sent");
+async fn say(viewer: &mut Connection, text: impl Into<String>) {
+    viewer.send_raw(Message::text(text.into())).await.expect("sent");
 }
 
-async fn next(socket: &mut Socket) -> Message {
-    loop {
-        let message = timeout(Duration::from_secs(30), socket.next()).await;
-        let message = message.expect("no frame within 30 s").expect("the stream ended");
-        match message.expect("no error") {
-            Message::Ping(_) | Message::Pong(_) => {}
-            message => return message,
-        }
-    }
+async fn try_next(viewer: &mut Connection) -> Result<RawFrame, Error> {
+    let frame = timeout(Duration::from_secs(30), viewer.next()).await;
+    frame.expect("no frame within 30 s")
 }
 
-/// Reads until the close frame: the messages before it, and its code.
-async fn until_close(socket: &mut Socket) -> (Vec<Message>, u16) {
+async fn next(viewer: &mut Connection) -> RawFrame {
+    try_next(viewer).await.expect("no error")
+}
+
+/// Reads until the close frame: the frames before it, and its code.
+async fn until_close(viewer: &mut Connection) -> (Vec<RawFrame>, u16) {
     let mut before = Vec::new();
     loop {
-        match next(socket).await {
-            Message::Close(frame) => return (before, frame.expect("a code").code.into()),
-            message => before.push(message),
+        match try_next(viewer).await {
+            Err(Error::Closed(code)) => return (before, code.expect("a code")),
+            frame => before.push(frame.expect("no error")),
         }
     }
 }
 
-fn json(message: &Message) -> Value {
-    serde_json::from_str(message.to_text().expect("text")).expect("JSON")
+/// Reads up to the first `committed`.
+async fn until_committed(viewer: &mut Connection) {
+    let committed = timeout(Duration::from_secs(30), viewer.until("committed")).await;
+    committed.expect("in time").expect("no error");
+}
+
+fn json(frame: &RawFrame) -> Value {
+    match frame {
+        RawFrame::Text(text) => serde_json::from_str(text).expect("JSON"),
+        other => panic!("expected text, found {other:?}"),
+    }
 }
 
 /// Opens the volume and receives one edit up to `done`; the number of chunks.
-async fn view_once(socket: &mut Socket, iso: u32) -> usize {
+async fn view_once(socket: &mut Connection, iso: u32) -> usize {
     say(socket, r#"{"type":"open","volume":"noise"}"#).await;
     assert_eq!(json(&next(socket).await)["type"], "opened");
     say(socket, format!(r#"{{"type":"edit","iso":{iso}}}"#)).await;
     let mut chunks = 0;
     loop {
-        let message = next(socket).await;
-        if let Message::Binary(frame) = &message {
-            let chunk = decode(frame).expect("a valid chunk");
-            assert_eq!(chunk.indices.len() as u32, 3 * TRIANGLES);
+        let frame = next(socket).await;
+        if let RawFrame::Chunk(bytes) = &frame {
+            let chunk = Chunk::decode(bytes).expect("a valid chunk");
+            assert_eq!(chunk.triangles.len() as u32, TRIANGLES);
             chunks += 1;
-        } else if json(&message)["type"] == "done" {
+        } else if json(&frame)["type"] == "done" {
             return chunks;
         }
     }
@@ -265,11 +252,16 @@ async fn view_once(socket: &mut Socket, iso: u32) -> usize {
 async fn a_handshake_without_the_subprotocol_is_refused() {
     let server = start(1, Deadlines::default()).await;
     for subprotocol in [None, Some("isopeel.v1")] {
-        match server.try_connect(subprotocol).await {
-            Err(Error::Http(response)) => {
-                assert_eq!(response.status(), 400);
-                let body = response.body().as_deref().unwrap_or_default();
-                let problem: Value = serde_json::from_slice(body).expect("a problem");
+        let mut request = request(server.address, "", &[]).expect("a request");
+        let headers = request.headers_mut();
+        headers.remove("sec-websocket-protocol");
+        if let Some(name) = subprotocol {
+            headers.insert("sec-websocket-protocol", name.parse().expect("a header"));
+        }
+        let tcp = TcpStream::connect(server.address).await.expect("connects");
+        match Connection::handshake(tcp, request, None).await.err() {
+            Some(Error::Refused { status: 400, body }) => {
+                let problem: Value = serde_json::from_slice(&body).expect("a problem");
                 assert_eq!(problem["code"], "bad-request");
             }
             other => panic!("{other:?}"),
@@ -288,7 +280,7 @@ async fn faults_of_the_client_have_their_close_codes() {
     ];
     for (message, error, code) in faults {
         let mut socket = server.connect().await;
-        socket.send(message).await.expect("sent");
+        socket.send_raw(message).await.expect("sent");
         let (before, closed) = until_close(&mut socket).await;
         assert_eq!(closed, code);
         assert_eq!(before.len(), 1);
@@ -297,11 +289,9 @@ async fn faults_of_the_client_have_their_close_codes() {
     }
     // Far too long: the connection ends, read or not.
     let mut socket = server.connect().await;
-    let _ = socket.send(Message::text("x".repeat(4 << 20))).await;
-    let end = async { while let Some(Ok(_)) = socket.next().await {} };
-    timeout(Duration::from_secs(30), end)
-        .await
-        .expect("the connection ends");
+    let _ = socket.send_raw(Message::text("x".repeat(4 << 20))).await;
+    let end = timeout(Duration::from_secs(30), socket.close_code()).await;
+    let _ = end.expect("the connection ends");
 }
 
 #[tokio::test]
@@ -322,12 +312,7 @@ async fn a_slow_reader_is_closed_and_delays_no_other() {
     say(&mut slow, r#"{"type":"open","volume":"noise"}"#).await;
     say(&mut slow, r#"{"type":"edit","iso":2}"#).await;
     // The first step and its ping, then some frames of the second, then nothing more is read.
-    loop {
-        let message = next(&mut slow).await;
-        if matches!(&message, Message::Text(text) if text.contains("committed")) {
-            break;
-        }
-    }
+    until_committed(&mut slow).await;
     for _ in 0..3 {
         next(&mut slow).await;
     }
@@ -363,7 +348,7 @@ async fn who_does_not_read_is_closed_too_when_the_token_ends() {
     let mut socket = server.connect().await;
     say(&mut socket, r#"{"type":"open","volume":"noise"}"#).await;
     say(&mut socket, r#"{"type":"edit","iso":2}"#).await;
-    while !matches!(next(&mut socket).await, Message::Text(text) if text.contains("committed")) {}
+    until_committed(&mut socket).await;
     // From now on nothing is read, until the buffers of loopback are full.
     tokio::time::sleep(Duration::from_millis(500)).await;
     file.revoke(&made.id).expect("revoked");
@@ -387,17 +372,16 @@ async fn there_is_room_for_so_many_viewers_and_again_when_one_leaves() {
     assert_eq!(until_close(&mut refused).await.1, 4002);
 
     // One closes its connection, one drops it.
-    let mut leaving = viewers.pop().expect("a viewer");
-    leaving.close(None).await.expect("closes");
+    viewers.pop().expect("a viewer").close().await.expect("closes");
     drop(viewers.pop());
     for _ in 0..2 {
         let enter = async {
             loop {
                 let mut socket = server.connect().await;
                 say(&mut socket, "{").await;
-                match next(&mut socket).await {
-                    Message::Close(_) => tokio::task::yield_now().await,
-                    _ => return socket,
+                match try_next(&mut socket).await {
+                    Err(_) => tokio::task::yield_now().await,
+                    Ok(_) => return socket,
                 }
             }
         };
@@ -417,15 +401,8 @@ async fn a_silent_client_is_closed_and_one_that_pongs_is_not() {
     let mut dead = server.connect().await;
     let mut idle = server.connect().await;
     // Polling the socket answers pings.
-    let polled = timeout(Duration::from_millis(1500), async {
-        loop {
-            match idle.next().await {
-                Some(Ok(Message::Ping(_))) => {}
-                other => panic!("{other:?}"),
-            }
-        }
-    });
-    assert!(polled.await.is_err());
+    let polled = timeout(Duration::from_millis(1500), idle.next()).await;
+    assert!(polled.is_err(), "{polled:?}");
     let (before, code) = until_close(&mut dead).await;
     assert_eq!(code, 4003);
     assert_eq!(json(&before[0])["open"], false);

@@ -1,19 +1,21 @@
-//! The whole server on a real device, with a client that is written by `PROTOCOL.md` alone.
+//! The whole server on a real device, with the client that is written from `PROTOCOL.md` alone.
 
 mod client;
 
 use std::time::Duration;
 
 use isopeel::stream::StepTimes;
+use isopeel_client::{Chunk, Frame, same_meshes};
+use serde_json::json;
 use tokio::time::timeout;
 
-use client::{LARGE_STEPS, Mesh, SMALL_STEPS, Server};
+use client::{LARGE_STEPS, SMALL_STEPS, Server};
 
 #[tokio::test(flavor = "multi_thread")]
 async fn the_demo_comes_coarse_first_and_whole() {
     let server = Server::start(&[], true, LARGE_STEPS).await;
     let mut viewer = server.viewer("mni152").await;
-    viewer.say(r#"{"type":"edit","beta":0.4}"#).await;
+    viewer.edit(json!({"beta": 0.4})).await;
     let (prefixes, statistics) = viewer.until_done().await;
     let (first, last) = (&prefixes[0], &prefixes[prefixes.len() - 1]);
     assert!(prefixes.len() >= 2 && last.level == 0);
@@ -27,35 +29,39 @@ async fn the_demo_comes_coarse_first_and_whole() {
     assert_eq!(viewer.triangles() as u64, statistics["triangles"]);
 
     // An edit of the cut sends what changed; the result equals what a new client gets.
-    let before = viewer.held.clone();
-    let edit = r#"{"type":"edit","beta":0.4002}"#;
-    viewer.say(edit).await;
+    let before = viewer.shown.clone();
+    let edit = json!({"beta": 0.4002});
+    viewer.edit(edit.clone()).await;
     let (prefixes, statistics) = viewer.until_done().await;
     assert_eq!(viewer.triangles() as u64, statistics["triangles"]);
     let [prefix] = prefixes.as_slice() else {
         panic!("straight to the final surface, found {prefixes:?}");
     };
-    let is_unchanged = |(coords, mesh): &(&[u32; 3], &Mesh)| before.get(*coords) == Some(*mesh);
-    let unchanged = viewer.held.iter().filter(is_unchanged).count();
+    let is_unchanged =
+        |(region, mesh): &(&[u32; 3], &Chunk)| before.get(*region).is_some_and(|held| held.same_mesh(mesh));
+    let unchanged = viewer.shown.iter().filter(is_unchanged).count();
     let removed = before
         .keys()
-        .filter(|coords| !viewer.held.contains_key(*coords))
+        .filter(|coords| !viewer.shown.contains_key(*coords))
         .count();
     assert!(
-        unchanged > 0 && unchanged < viewer.held.len(),
+        unchanged > 0 && unchanged < viewer.shown.len(),
         "{unchanged} of {} are unchanged",
-        viewer.held.len()
+        viewer.shown.len()
     );
     assert_eq!(prefix.unchanged, unchanged);
     assert_eq!(
         prefix.chunks,
-        viewer.held.len() - unchanged + removed,
+        viewer.shown.len() - unchanged + removed,
         "only what changed is sent"
     );
     let mut fresh = server.viewer("mni152").await;
-    fresh.say(edit).await;
+    fresh.edit(edit).await;
     fresh.until_done().await;
-    assert!(fresh.held == viewer.held, "two clients of one view hold the same");
+    assert!(
+        same_meshes(&fresh.shown, &viewer.shown),
+        "two clients of one view hold the same"
+    );
     server.stop().await;
 }
 
@@ -64,21 +70,24 @@ async fn a_storm_of_edits_ends_at_the_last_and_starves_nobody() {
     let server = Server::start(&[], true, StepTimes::default()).await;
     let mut storm = server.viewer("mni152").await;
     let mut calm = server.viewer("mni152").await;
-    calm.say(r#"{"type":"edit"}"#).await;
+    calm.edit(json!({})).await;
     for i in 0..40 {
-        storm.say(&format!(r#"{{"type":"edit","iso":{}}}"#, 60 + i)).await;
+        storm.edit(json!({"iso": 60 + i})).await;
         tokio::time::sleep(Duration::from_millis(5)).await;
     }
-    storm.say(r#"{"type":"edit","iso":45,"beta":0.1}"#).await;
+    storm.edit(json!({"iso": 45, "beta": 0.1})).await;
     let ((_, calm_statistics), ()) = tokio::join!(calm.until_done(), async {
         // Edits before the last may reach `done`.
         while storm.until_done().await.1["beta"].as_f64() != Some(0.1) {}
     });
     assert_eq!(calm.triangles() as u64, calm_statistics["triangles"]);
     let mut fresh = server.viewer("mni152").await;
-    fresh.say(r#"{"type":"edit","iso":45,"beta":0.1}"#).await;
+    fresh.edit(json!({"iso": 45, "beta": 0.1})).await;
     fresh.until_done().await;
-    assert!(fresh.held == storm.held, "the storm ends at its last edit");
+    assert!(
+        same_meshes(&fresh.shown, &storm.shown),
+        "the storm ends at its last edit"
+    );
     server.stop().await;
 }
 
@@ -120,33 +129,33 @@ async fn every_commit_of_a_session_is_a_closed_surface() {
             viewer.open("closed", step).await;
         }
         for edit in [
-            r#""iso":120"#,
-            r#""beta":0.02,"maxError":null,"topology":"free""#,
-            r#""beta":0.3"#,
-            r#""beta":0.3,"topology":"preserve""#,
-            r#""beta":1,"maxLevel":3"#,
-            r#""beta":-1"#,
-            r#""iso":150,"feature":"gradient-magnitude","alpha":0.7,"maxLevel":5"#,
-            r#""featureRange":[1,40]"#,
-            r##""transferFunction":{"points":[{"x":0.2,"importance":1,"color":"#000000"},{"x":0.4,"importance":0,"color":"#ffffff"}]}"##,
-            r#""triangles":20000,"maxError":"auto","topology":"auto""#,
-            r#""bytes":150000"#,
-            r#""error":"0.2vx","triangles":9000"#,
-            r#""field":"2 * closed","iso":180"#,
-            r#""field":"closed","iso":90,"feature":"sqrt(abs(closed))""#,
-            r#""beta":0.05,"maxError":"0.1vx""#,
+            json!({"iso": 120}),
+            json!({"beta": 0.02, "maxError": null, "topology": "free"}),
+            json!({"beta": 0.3}),
+            json!({"beta": 0.3, "topology": "preserve"}),
+            json!({"beta": 1, "maxLevel": 3}),
+            json!({"beta": -1}),
+            json!({"iso": 150, "feature": "gradient-magnitude", "alpha": 0.7, "maxLevel": 5}),
+            json!({"featureRange": [1, 40]}),
+            json!({"transferFunction": {"points": [{"x": 0.2, "importance": 1, "color": "#000000"}, {"x": 0.4, "importance": 0, "color": "#ffffff"}]}}),
+            json!({"triangles": 20000, "maxError": "auto", "topology": "auto"}),
+            json!({"bytes": 150000}),
+            json!({"error": "0.2vx", "triangles": 9000}),
+            json!({"field": "2 * closed", "iso": 180}),
+            json!({"field": "closed", "iso": 90, "feature": "sqrt(abs(closed))"}),
+            json!({"beta": 0.05, "maxError": "0.1vx"}),
         ] {
-            viewer.say(&format!(r#"{{"type":"edit",{edit}}}"#)).await;
+            viewer.edit(edit.clone()).await;
             let (prefixes, statistics) = viewer.until_done().await;
             commits += prefixes.len();
             assert_eq!(viewer.triangles() as u64, statistics["triangles"], "{edit}");
         }
         // `cancel` and superseded edits keep what was committed.
-        for iso in [80, 100, 130, 160] {
-            viewer.say(&format!(r#"{{"type":"edit","iso":{iso}}}"#)).await;
+        for (iso, beta) in [(80, 0.8), (100, 0.1), (130, 0.13), (160, 0.16)] {
+            viewer.edit(json!({"iso": iso})).await;
             tokio::time::sleep(Duration::from_millis(iso)).await;
-            viewer.say(r#"{"type":"cancel"}"#).await;
-            viewer.say(&format!(r#"{{"type":"edit","beta":0.{iso}}}"#)).await;
+            viewer.send(json!({"type": "cancel"})).await;
+            viewer.edit(json!({"beta": beta})).await;
         }
         // An edit before the last may reach `done`.
         while timeout(Duration::from_secs(3), viewer.until_done()).await.is_ok() {
@@ -189,23 +198,21 @@ async fn another_time_step_sends_only_the_regions_that_differ() {
     let mut viewer = server.viewer("waves").await;
     // Values of the feature are in every vertex: their range stays, though that of the second step is another one.
     viewer
-        .say(r#"{"type":"edit","iso":0.2,"beta":0.02,"feature":"gradient-magnitude","alpha":0.2}"#)
+        .edit(json!({"iso": 0.2, "beta": 0.02, "feature": "gradient-magnitude", "alpha": 0.2}))
         .await;
     viewer.until_done().await;
-    let first = viewer.held.clone();
+    let first = viewer.shown.clone();
     assert_eq!(first.len(), 27);
     for step in [1, 2] {
-        viewer.say(&format!(r#"{{"type":"step","step":{step}}}"#)).await;
+        viewer.send(json!({"type": "step", "step": step})).await;
         let stepped = loop {
-            let message = viewer.text().await;
-            if message["type"] != "measured" {
-                break message;
+            let frame = viewer.next().await;
+            if !matches!(frame, Frame::Measured { .. } | Frame::Described { .. }) {
+                break frame;
             }
         };
-        assert_eq!(
-            (&stepped["type"], &stepped["step"], &stepped["label"]),
-            (&"stepped".into(), &step.into(), &format!("step {step:02}").into())
-        );
+        let label = json!(format!("step {step:02}"));
+        assert_eq!(stepped, Frame::Stepped { step, label });
         let (prefixes, _) = viewer.until_done().await;
         let [prefix] = prefixes.as_slice() else {
             panic!("in one commit, found {prefixes:?}");
@@ -213,7 +220,11 @@ async fn another_time_step_sends_only_the_regions_that_differ() {
         // The corner's region, and neighbours whose polygons meet its.
         assert!((1..=4).contains(&prefix.chunks), "{prefix:?}");
         assert_eq!(prefix.unchanged, 27 - prefix.chunks);
-        assert_eq!(viewer.held == first, step == 2, "the third step is the first one again");
+        assert_eq!(
+            same_meshes(&viewer.shown, &first),
+            step == 2,
+            "the third step is the first one again"
+        );
     }
     server.stop().await;
 }
