@@ -75,10 +75,16 @@ impl Verdicts {
 
     /// Returns a line for each way in which this device failed, if it was refused with these sample types or some of them.
     pub fn refusal(&self, device: &DeviceId, types: &[String]) -> Option<String> {
+        let (report, refused) = self.refused(device)?;
+        refused.iter().all(|one| types.contains(one)).then_some(report)
+    }
+
+    /// Returns the report of a refused device, and the sample types with which it failed.
+    fn refused(&self, device: &DeviceId) -> Option<(String, Vec<String>)> {
         let verdict = self.read(device)?;
         match verdict.outcome {
-            Outcome::Refused(report) if verdict.types.iter().all(|one| types.contains(one)) => Some(report),
-            _ => None,
+            Outcome::Refused(report) => Some((report, verdict.types)),
+            Outcome::Passed(_) => None,
         }
     }
 
@@ -111,7 +117,12 @@ impl Verdicts {
     /// # Errors
     /// The folder cannot be written.
     pub fn refuse(&self, device: &DeviceId, report: String, types: &[String]) -> std::io::Result<()> {
-        self.write(device, Outcome::Refused(report), types.to_vec())
+        // A device that failed with fewer types fails with these too.
+        let fewer = self
+            .refused(device)
+            .filter(|(_, fewer)| fewer.iter().all(|one| types.contains(one)));
+        let types = fewer.map_or_else(|| types.to_vec(), |(_, fewer)| fewer);
+        self.write(device, Outcome::Refused(report), types)
     }
 
     fn write(&self, device: &DeviceId, outcome: Outcome, types: Vec<String>) -> std::io::Result<()> {
@@ -215,6 +226,8 @@ mod tests {
         for types in [&floats, &both] {
             assert_eq!(verdicts.refusal(&device, types).as_deref(), Some("crashes"));
         }
+        verdicts.refuse(&device, "crashes".to_owned(), &both).expect("kept");
+        assert!(verdicts.refusal(&device, &floats).is_some());
         assert_eq!(verdicts.refusal(&device, &bytes), None);
         let newer = DeviceId {
             driver: "3.2".to_owned(),
