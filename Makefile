@@ -110,7 +110,7 @@ lint-text:
 lint-rust: web-client
 	cargo clippy --locked --workspace --all-targets --quiet -- -D warnings
 	# Without the features that the server switches on.
-	cargo clippy --locked --package isopeel-extraction --all-targets --quiet -- -D warnings
+	cargo clippy --locked --package isopeel-extraction --package isopeel-mesh --all-targets --quiet -- -D warnings
 
 lint-web: web-client
 	cd web && npm run --silent typecheck && npm run --silent lint

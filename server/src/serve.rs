@@ -104,7 +104,7 @@ pub enum ServeError {
     #[error(transparent)]
     Device(#[from] WorkError),
     /// Only a new process can use the device.
-    #[error("the device was lost, and its driver is of no use to this process any more")]
+    #[error("this process cannot use the device any more; a new one can")]
     NeedsNewProcess,
     /// Batch jobs cannot be stored.
     #[error(transparent)]

@@ -14,7 +14,7 @@ const REGION: i32 = 32;
 const VERTEX: usize = 12;
 /// Maximum number of vertices and of indices.
 const MAX_COUNT: usize = 627_264;
-/// Above every coordinate of a region whose lattice positions fit in 32 bits.
+/// Limit of a region's coordinates, so that lattice positions fit in 32 bits. The protocol has no such limit.
 const MAX_REGION: u32 = 1 << 19;
 
 /// Why a frame is no chunk.
@@ -134,7 +134,7 @@ impl Chunk {
             vertices_used <= vertex_count,
             "indices",
             vertices_used,
-            "the vertex count",
+            "at most the vertex count",
         )?;
         let chunk = Self {
             surface: header.surface(),
@@ -271,7 +271,7 @@ fn expect<T: PartialEq + std::fmt::Debug>(field: &'static str, found: T, expecte
 pub(crate) struct Header<'a>(&'a [u8]);
 
 impl<'a> Header<'a> {
-    /// Checks length, magic, version, surface and the fields that are always the same.
+    /// Checks length, magic, version, surface, region and the constant fields.
     pub fn new(frame: &'a [u8]) -> Result<Self, ChunkError> {
         if frame.len() < HEADER {
             return Err(ChunkError::Short(frame.len()));

@@ -23,7 +23,7 @@ pub enum Error {
     #[error("the WebSocket failed")]
     Socket(#[source] Box<tungstenite::Error>),
     /// The server closed the connection, with this code.
-    #[error("the server closed the connection with code {0:?}")]
+    #[error("the server closed the connection{}", .0.map(|code| format!(" with code {code}")).unwrap_or_default())]
     Closed(Option<u16>),
     /// The server answered with an `error`.
     #[error("the server answered with the error {code}: {message}")]

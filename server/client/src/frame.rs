@@ -234,12 +234,10 @@ fn check_fields(message: &Value, fields: &str, optional: &str) -> Result<(), Err
     ensure(found == expected, || format!("fields {found:?}, expected {expected:?}"))
 }
 
-/// Distances from the isosurface, of a region or of all.
+/// Distances from the isosurface.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Distance {
-    #[serde(default)]
-    region: [u32; 3],
     rms: f64,
     max: f64,
 }
@@ -258,10 +256,19 @@ fn distance<'de, D: Deserializer<'de>>(value: D) -> Result<[f64; 2], D::Error> {
     Distance::deserialize(value)?.check()
 }
 
+/// Distances of a region.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RegionDistance {
+    region: [u32; 3],
+    rms: f64,
+    max: f64,
+}
+
 fn distances<'de, D: Deserializer<'de>>(value: D) -> Result<Distances, D::Error> {
-    let distances = Vec::<Distance>::deserialize(value)?.into_iter();
+    let distances = Vec::<RegionDistance>::deserialize(value)?.into_iter();
     distances
-        .map(|of_region| Ok((of_region.region, of_region.check()?)))
+        .map(|RegionDistance { region, rms, max }| Ok((region, Distance { rms, max }.check()?)))
         .collect()
 }
 
@@ -270,20 +277,20 @@ const STATISTICS: &str = "mesher beta tolerance maxError topology featureRange g
     removedTriangles unmatchedPositions activeCells leaves triangles vertices lostCubes unpatchedVertices stagesMs wallMs deviceBytes volumeBytes device";
 
 fn check_statistics(statistics: &Value) -> Result<(), Error> {
-    let says = |rule: &str| format!("{rule}: {statistics}");
+    let violation = |rule: &str| format!("{rule}: {statistics}");
     for name in STATISTICS.split_whitespace() {
-        ensure(statistics.get(name).is_some(), || says(name))?;
+        ensure(statistics.get(name).is_some(), || violation(name))?;
     }
     if let Some(all) = statistics["mesherTriangles"].as_u64() {
         let is_below = statistics["triangles"].as_u64() <= Some(all);
-        ensure(is_below, || says("triangles are at most mesherTriangles"))?;
+        ensure(is_below, || violation("triangles are at most mesherTriangles"))?;
     }
     let mut names = statistics.as_object().into_iter().flatten();
     let is_camel_case = names.all(|(name, _)| !name.contains('_'));
-    ensure(is_camel_case, || says("names are in camelCase"))?;
+    ensure(is_camel_case, || violation("names are in camelCase"))?;
     let has_one = statistics["beta"].is_null() != statistics["tolerance"].is_null();
-    ensure(has_one, || says("either β or a tolerance"))?;
-    ensure(statistics["topology"] != "auto", || says("topology is never auto"))?;
+    ensure(has_one, || violation("either β or a tolerance"))?;
+    ensure(statistics["topology"] != "auto", || violation("topology is never auto"))?;
     if !statistics["error"].is_null() {
         distance(&statistics["error"])?;
     }

@@ -42,7 +42,7 @@ enum Stage {
 pub struct Surface {
     /// The shown meshes: the last committed mesh of every region that has one.
     pub shown: Meshes,
-    /// The newest.
+    /// Number of the newest generation.
     generation: u32,
     stage: Stage,
     /// Mesher of the prefix that was committed last.

@@ -16,7 +16,7 @@ use crate::surface::{Meshes, Pending, Surface};
 pub struct Viewer<S = TcpStream> {
     /// Its connection.
     pub connection: Connection<S>,
-    /// By their numbers.
+    /// Surfaces by number.
     pub surfaces: [Surface; 4],
     /// Whether regions that have not changed may be sent again.
     pub may_repeat: bool,

@@ -90,7 +90,8 @@ impl Workspace {
         Ok(true)
     }
 
-    /// Makes space for a field to compute on the device, or on the host if that is the device. Returns the field's size in bytes.
+    /// Evicts cached data to make space for a field to compute: on the device, and in the host's memory if the device is the processors.
+    /// Returns the field's size in bytes.
     fn make_space(&mut self, volume: &VolumeStep, key: &VolumeKey, recipe: &Recipe) -> Result<u64, JobError> {
         let bytes = self.bytes_of(volume, std::slice::from_ref(key))?;
         let bytes: u64 = bytes.iter().map(|(_, bytes)| bytes).sum();

@@ -72,7 +72,7 @@ impl OnDevice<'_> {
         Ok((params, cut))
     }
 
-    /// Returns the number of triangles of the smallest surface of cubes that is not empty, given that every surface within the budget is.
+    /// Returns the number of triangles of the smallest surface of cubes that is not empty. Every surface within the budget must be empty.
     fn smallest_surface(&self, params: &CutParams, budget: u64, cancel: &dyn Cancel) -> Result<u64, Error> {
         let mut larger_budget = budget;
         while larger_budget < self.pyramid.full_triangles() {

@@ -1,8 +1,8 @@
 //! Joins the regions of a surface into one mesh.
 
-use foldhash::{HashMap, HashSet};
 use isopeel_geometry::{DVec3, IndexSpace};
 use isopeel_kernels::{REGION_CELLS, Region, Vertex};
+use rustc_hash::{FxHashMap, FxHashSet};
 
 /// Lattice units per region.
 const REGION_LATTICE: i32 = REGION_CELLS as i32 * Vertex::LATTICE;
@@ -117,22 +117,22 @@ impl WorldMesh {
 #[derive(Default)]
 struct Vertices {
     count: u32,
-    /// Most vertices are inside their region and belong to no other. So only vertices on a region's faces, and vertices that lie outside of
-    /// the region that lists them, are looked up.
-    outside: HashSet<Key>,
-    /// How far the farthest of them lies outside, lattice units.
+    /// Keys of the vertices that lie outside the region that lists them. Another region may list the same vertex inside.
+    outside: FxHashSet<Key>,
+    /// Maximum distance of such a vertex from its region, lattice units. A vertex farther inside its region is in no other one, and is not
+    /// looked up. Of those nearer to the faces, only vertices on a face or in `outside` are.
     overhang: i32,
     /// Number of the first vertex with a key, and of further ones of the same region.
-    shared: HashMap<(Key, u32), u32>,
+    shared: FxHashMap<(Key, u32), u32>,
     /// Vertices with a key in the current region.
-    copies: HashMap<Key, u32>,
+    copies: FxHashMap<Key, u32>,
     /// Numbers of the current region's vertices.
     joined: Vec<u32>,
 }
 
 impl Vertices {
     fn new(regions: &[Region]) -> Self {
-        let (mut outside, mut overhang) = (HashSet::default(), 0);
+        let (mut outside, mut overhang) = (FxHashSet::default(), 0);
         for region in regions {
             for vertex in &region.vertices {
                 let beyond = -distance_inside(vertex);

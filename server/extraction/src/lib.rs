@@ -15,7 +15,7 @@
 //! - Cuts: `cube_cuts` and `tree_surfaces` cut cubes and the vertex tree for a view; `decisions`: the outcome if an error or a budget
 //!   decides. `byte_search` fits a budget of bytes. `intersections`: places at which a surface is refined.
 //! - Surfaces: `on_device`: a view on the device, with its feature (`feature_fields`). `final_surfaces`: its surface and error. `refine` and
-//!   `tree_steps`: steps from the shown surface to that, within limits on bytes that `chunk_bytes` estimates. `results`, `statistics`:
+//!   `tree_steps`: steps from the shown surface to the final one, within limits on bytes that `chunk_bytes` estimates. `results`, `statistics`:
 //!   results. `joined`: a surface as one mesh.
 //! - Queries: `counting`: the triangles of a full surface, before it is made. `questions`: queries on a surface. `histograms`: ranges and
 //!   histograms. `overviews`: fields at a low resolution. `slices`: planes of samples.

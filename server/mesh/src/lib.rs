@@ -1,8 +1,8 @@
 //! A surface as one mesh, and as a file.
 //!
-//! [`Mesh`] joins the regions of a surface into one mesh in the world. [`topology`] makes it a manifold, [`clean`] moves vertices so that no
-//! triangles intersect, [`caps`] knows which ones close the surface at the faces of the volume, and [`Content`] is written in one of nine
-//! formats. Each file names the frame and the unit of its positions, and the volume's notices. The writers are our own: each is shorter than
+//! [`Mesh`] joins the regions of a surface into one mesh in the world. [`topology`] splits vertices at which sheets touch, [`clean`] moves
+//! vertices so that no triangles intersect, and keeps those on a cap there ([`caps`]). [`Content`] writes meshes in one of nine formats. Each
+//! file names the frame and the unit of its positions, and the volume's notices. The writers are our own: each is shorter than
 //! the conversion to a library's mesh would be, and does not hold the file in memory, unless it is compressed.
 
 use std::io::{self, BufWriter, Write};

@@ -213,6 +213,10 @@ fn check(index: usize, workaround: Workaround, first: &[String], later: &[String
     })?;
     let engine = match open(index, workaround) {
         Ok(engine) => engine,
+        // Another process may occupy the device for now.
+        Err(error @ (Error::Launch { .. } | Error::OutOfDeviceMemory { .. })) => {
+            return say(&Message::Failed { text: chain(&error) });
+        }
         Err(error) => return say(&Message::Wrong { text: chain(&error) }),
     };
     let checks = |names| {

@@ -94,14 +94,14 @@ impl Checked {
         failed.collect::<Vec<_>>().join("\n")
     }
 
-    /// Whether it failed in all ways, each by a cause that lasts: a lost device, memory that ran out and a child that did not start may pass.
+    /// Whether it failed in all ways, none of them for a temporary cause.
     fn is_refused(&self) -> bool {
-        let lasts = |ended: &Ended| !matches!(ended, Ended::Failed(_) | Ended::NotStarted(_));
+        let lasts = |ended: &Ended| !ended.is_temporary();
         self.tried.iter().all(|(_, ended)| ended.as_ref().is_some_and(lasts))
     }
 
-    /// Stores the verdict, or removes it if the cause of a failure may pass. For the same reason a device is tried twice before a workaround
-    /// for such a failure is stored.
+    /// Stores the verdict, or removes it if a failure has a temporary cause. A device is tried twice after such a failure, so that no
+    /// needless workaround is stored.
     fn keep(&self, verdicts: &Verdicts, types: &Types) {
         let id = DeviceId::of(&self.device);
         let kept = match self.passed() {
@@ -130,11 +130,11 @@ impl Checked {
 
 /// A search for a device.
 struct Search {
-    /// Devices that may be used and were not refused, preferred first.
+    /// Devices that are still to be tried, preferred first; those that an earlier start refused come last.
     candidates: VecDeque<DeviceInfo>,
     /// Ways in which the first candidate was already tried.
     tried: Vec<(Workaround, Option<Ended>)>,
-    /// Devices that were refused.
+    /// Devices that failed in this search.
     refused: Vec<Checked>,
     types: Types,
     environment: Environment,
@@ -163,7 +163,7 @@ impl Search {
             }
             tracing::info!(
                 device = device.name,
-                "the device is new to this isopeel, and is checked first"
+                "the device has not passed the check of this isopeel yet, and is checked first"
             );
             let (checked, child) = check(&device, &self.types, &self.environment, early, tried, progress);
             let Some(workaround) = checked.passed() else {
@@ -174,7 +174,7 @@ impl Search {
             };
             checked.warn_of(workaround);
             let Some(child) = child else {
-                self.keep(&checked);
+                checked.keep(&self.verdicts, &self.types);
                 return Ok(self.selected(device, workaround));
             };
             let (environment, tried) = (self.environment.clone(), checked.tried);
@@ -192,36 +192,27 @@ impl Search {
         Err(DeviceFailure::Unreliable { report })
     }
 
-    /// Stores that a device passed, unless one like it was refused: they share a verdict.
-    fn keep(&self, checked: &Checked) {
-        let id = DeviceId::of(&checked.device);
-        if !self
-            .refused
-            .iter()
-            .any(|other| id.is_like(&DeviceId::of(&other.device)))
-        {
-            checked.keep(&self.verdicts, &self.types);
-        }
-    }
-
     /// Moves devices that were refused at an earlier start behind the others, and says so.
     fn try_refused_last(&mut self) {
         let types = self.types.all();
-        let (refused, others): (VecDeque<_>, VecDeque<_>) = std::mem::take(&mut self.candidates)
-            .into_iter()
-            .map(|device| (self.verdicts.refusal(&DeviceId::of(&device), &types), device))
-            .partition(|(report, _)| report.is_some());
+        let (mut others, mut refused) = (VecDeque::new(), Vec::new());
+        for device in std::mem::take(&mut self.candidates) {
+            match self.verdicts.refusal(&DeviceId::of(&device), &types) {
+                Some(report) => refused.push((device, report)),
+                None => others.push_back(device),
+            }
+        }
         if !others.is_empty() {
-            for (report, device) in &refused {
-                let (id, report) = (DeviceId::of(device), report.as_deref().unwrap_or_default());
+            for (device, report) in &refused {
+                let id = DeviceId::of(device);
                 tracing::warn!(
                     "{id} is tried after other devices, because it failed the check before; `isopeel devices --check` checks it \
                      again:\n{report}"
                 );
             }
         }
-        let in_order = others.into_iter().chain(refused);
-        self.candidates = in_order.map(|(_, device)| device).collect();
+        others.extend(refused.into_iter().map(|(device, _)| device));
+        self.candidates = others;
     }
 
     fn selected(self, device: DeviceInfo, workaround: Workaround) -> Selection {
@@ -259,8 +250,8 @@ impl PendingCheck {
         let (Some(device), Some((workaround, outcome))) = (search.candidates.front(), search.tried.last_mut()) else {
             return Ok(());
         };
-        if let Some(Ended::Failed(text)) = &ended {
-            tracing::warn!("the check of {} is done once more: {text}", device.name);
+        if let Some(ended_by) = ended.as_ref().filter(|ended| ended.is_temporary()) {
+            tracing::warn!("the check of {} is done once more: {ended_by}", device.name);
             let again = try_once(device, &search.types, *workaround, &search.environment, false, &hear);
             ended = again.err();
         }
@@ -270,7 +261,7 @@ impl PendingCheck {
                 device: device.clone(),
                 tried: std::mem::take(&mut search.tried),
             };
-            search.keep(&checked);
+            checked.keep(&search.verdicts, &search.types);
             return Ok(());
         }
         search.verdicts.forget(&DeviceId::of(device));
@@ -329,7 +320,7 @@ pub fn prepare(requirements: &DeviceRequirements, progress: &dyn Fn(usize, usize
         refused: Vec::new(),
         types: Types::new(&requirements.types, requirements.early),
         environment: listed.environment,
-        verdicts: Verdicts::new(requirements.folder.as_deref()),
+        verdicts: Verdicts::new(requirements.folder.as_deref(), &listed.devices),
     };
     search.try_refused_last();
     search
@@ -341,24 +332,14 @@ pub fn prepare(requirements: &DeviceRequirements, progress: &dyn Fn(usize, usize
 /// Checks all devices again, for a report.
 pub fn check_all(folder: Option<PathBuf>, progress: &dyn Fn(usize, usize)) -> (Listed, Vec<Checked>) {
     let listed = list(folder.as_deref());
-    let verdicts = Verdicts::new(folder.as_deref());
+    let verdicts = Verdicts::new(folder.as_deref(), &listed.devices);
     let types = Types::new(&[], true);
     let checked = listed.devices.iter().map(|device| {
         let (checked, _) = check(device, &types, &listed.environment, false, Vec::new(), progress);
         checked
     });
     let checked: Vec<Checked> = checked.collect();
-    for one in &checked {
-        let id = DeviceId::of(&one.device);
-        // Devices of one kind share a verdict.
-        let is_alike = |other: &&Checked| id.is_like(&DeviceId::of(&other.device));
-        let mut alike = checked.iter().filter(is_alike).map(Checked::passed);
-        if alike.all(|other| other == one.passed()) {
-            one.keep(&verdicts, &types);
-        } else {
-            verdicts.forget(&id);
-        }
-    }
+    checked.iter().for_each(|one| one.keep(&verdicts, &types));
     (listed, checked)
 }
 
@@ -406,9 +387,9 @@ fn check(
     for workaround in workarounds {
         let attempt = || try_once(device, types, workaround, environment, early, &hear);
         // Tries again after a failure that may be temporary. Otherwise a workaround that is not needed would be stored.
-        let outcome = attempt().or_else(|ended| match ended {
-            Ended::Failed(_) => attempt(),
-            ended => Err(ended),
+        let outcome = attempt().or_else(|ended| match ended.is_temporary() {
+            true => attempt(),
+            false => Err(ended),
         });
         match outcome {
             Ok(child) => {

@@ -34,6 +34,14 @@ pub enum Ended {
         /// What was written on standard error.
         quoted: String,
     },
+    /// Something else killed it: the system, which had no memory left, or a service manager that stops the server.
+    #[error("the process was killed in stage {stage} ({how})")]
+    Killed {
+        /// Stage that was running.
+        stage: String,
+        /// The signal.
+        how: String,
+    },
     /// It sent no message within the time limit.
     #[error("stage {stage} did not end within {seconds} s")]
     Hung {
@@ -51,6 +59,13 @@ pub enum Ended {
     /// The child could not be started.
     #[error("the check could not be started: {0}")]
     NotStarted(String),
+}
+
+impl Ended {
+    /// Whether the cause may be gone at the next attempt.
+    pub fn is_temporary(&self) -> bool {
+        matches!(self, Self::Killed { .. } | Self::Failed(_) | Self::NotStarted(_))
+    }
 }
 
 /// A running child.
@@ -146,10 +161,18 @@ impl Running {
     fn crashed(&mut self) -> Ended {
         // The child has closed its standard output. If it is already exiting, killing it does not change its exit status.
         let _ = self.child.kill();
-        let how = match self.child.wait() {
-            Ok(status) => describe(status),
+        let status = self.child.wait();
+        let how = match &status {
+            Ok(status) => describe(*status),
             Err(error) => error.to_string(),
         };
+        let signal = status.ok().and_then(|status| status.signal());
+        if signal.is_some_and(|signal| [libc::SIGKILL, libc::SIGTERM].contains(&signal)) {
+            return Ended::Killed {
+                stage: self.stage.clone(),
+                how,
+            };
+        }
         let quoted = self.errors.recv_timeout(Duration::from_secs(1)).unwrap_or_default();
         Ended::Crashed {
             stage: self.stage.clone(),

@@ -1,7 +1,9 @@
 //! Verdicts on devices, kept on disk: one file for each device, version of its driver and compiler, method of PoCL and build of isopeel.
+//! Each of several devices of one kind has a file of its own, by its order among them.
 
 use std::path::{Path, PathBuf};
 
+use isopeel_kernels::DeviceInfo;
 use isopeel_kernels::device::POCL;
 use serde::{Deserialize, Serialize};
 
@@ -36,31 +38,42 @@ pub(super) struct Verdicts {
     /// Folder in which PoCL caches compiled kernels. A verdict on a PoCL device is valid only while the kernels that the check compiled are
     /// in it: without them the device's thread would compile each kernel at its first use, and all viewers would wait.
     kernels: Option<PathBuf>,
+    /// The listed devices.
+    devices: Vec<DeviceId>,
 }
 
 impl Verdicts {
-    pub fn new(folder: Option<&Path>) -> Self {
+    pub fn new(folder: Option<&Path>, listed: &[DeviceInfo]) -> Self {
         Self {
             folder: folder.map(|folder| folder.join("devices")),
             kernels: pocl_folder(),
+            devices: listed.iter().map(DeviceId::of).collect(),
         }
     }
 
     fn path(&self, device: &DeviceId) -> Option<PathBuf> {
-        Some(self.folder.as_ref()?.join(format!("{}.json", name_of(device))))
+        Some(self.folder.as_ref()?.join(format!("{}.json", self.name_of(device))))
+    }
+
+    /// Returns the name of the file about a device.
+    fn name_of(&self, device: &DeviceId) -> String {
+        let is_before = |other: &&DeviceId| other.index < device.index && other.is_like(device);
+        let ordinal = self.devices.iter().filter(is_before).count().to_string();
+        let method = std::env::var(POCL_METHOD).unwrap_or_default();
+        let text = [&device.kind()[..], &[&ordinal, &build(), &method]].concat().join("\n");
+        format!("{:016x}", xxhash_rust::xxh3::xxh3_64(text.as_bytes()))
     }
 
     /// Returns the file that marks that the kernels of a PoCL device are in PoCL's cache; `None` for other devices.
     fn marker(&self, device: &DeviceId) -> Option<PathBuf> {
         let folder = self.kernels.as_ref().filter(|_| device.platform == POCL)?;
-        Some(folder.join(format!("isopeel-{}", name_of(device))))
+        Some(folder.join(format!("isopeel-{}", self.name_of(device))))
     }
 
     /// Returns the way in which this device passed with all of these sample types; `None` if there is no valid verdict.
     pub fn find(&self, device: &DeviceId, types: &[String]) -> Option<Workaround> {
         let (workaround, passed) = self.passed(device)?;
-        let has_all = types.iter().all(|one| passed.contains(one));
-        has_all.then_some(workaround)
+        includes(&passed, types).then_some(workaround)
     }
 
     /// Returns the way in which this device passed, and the sample types with which it did.
@@ -76,7 +89,7 @@ impl Verdicts {
     /// Returns a line for each way in which this device failed, if it was refused with these sample types or some of them.
     pub fn refusal(&self, device: &DeviceId, types: &[String]) -> Option<String> {
         let (report, refused) = self.refused(device)?;
-        refused.iter().all(|one| types.contains(one)).then_some(report)
+        includes(types, &refused).then_some(report)
     }
 
     /// Returns the report of a refused device, and the sample types with which it failed.
@@ -118,9 +131,7 @@ impl Verdicts {
     /// The folder cannot be written.
     pub fn refuse(&self, device: &DeviceId, report: String, types: &[String]) -> std::io::Result<()> {
         // A device that failed with fewer types fails with these too.
-        let fewer = self
-            .refused(device)
-            .filter(|(_, fewer)| fewer.iter().all(|one| types.contains(one)));
+        let fewer = self.refused(device).filter(|(_, fewer)| includes(types, fewer));
         let types = fewer.map_or_else(|| types.to_vec(), |(_, fewer)| fewer);
         self.write(device, Outcome::Refused(report), types)
     }
@@ -151,10 +162,9 @@ impl Verdicts {
     }
 }
 
-fn name_of(device: &DeviceId) -> String {
-    let method = std::env::var(POCL_METHOD).unwrap_or_default();
-    let text = [&device.kind()[..], &[&build(), &method]].concat().join("\n");
-    format!("{:016x}", xxhash_rust::xxh3::xxh3_64(text.as_bytes()))
+/// Whether all of `some` are among `all`.
+fn includes(all: &[String], some: &[String]) -> bool {
+    some.iter().all(|one| all.contains(one))
 }
 
 fn build() -> String {
@@ -178,6 +188,7 @@ mod tests {
         let verdicts = Verdicts {
             folder: Some(parent.path().join("devices")),
             kernels: Some(kernels.clone()),
+            devices: Vec::new(),
         };
         let (pocl, other) = (device(POCL), device("NVIDIA CUDA"));
         let types = ["f32".to_owned()];
@@ -196,6 +207,7 @@ mod tests {
         let verdicts = Verdicts {
             folder: Some(parent.path().join("devices")),
             kernels: None,
+            devices: Vec::new(),
         };
         let device = device("NVIDIA CUDA");
         let [bytes, floats] = ["u8", "f32"].map(|name| vec![name.to_owned()]);
@@ -217,6 +229,7 @@ mod tests {
             folder: Some(parent.path().join("devices")),
             // Without the kernels of PoCL: a refusal needs none.
             kernels: Some(parent.path().join("missing")),
+            devices: Vec::new(),
         };
         let device = device(POCL);
         let [bytes, floats] = ["u8", "f32"].map(|name| vec![name.to_owned()]);
@@ -240,5 +253,26 @@ mod tests {
         verdicts.refuse(&device, "crashes".to_owned(), &floats).expect("kept");
         verdicts.forget(&device);
         assert_eq!(verdicts.refusal(&device, &floats), None);
+    }
+
+    #[test]
+    fn devices_of_one_kind_have_their_own_verdicts() {
+        let parent = tempfile::tempdir().expect("a folder");
+        let first = device("NVIDIA CUDA");
+        let second = DeviceId {
+            index: 1,
+            ..first.clone()
+        };
+        let verdicts = Verdicts {
+            folder: Some(parent.path().join("devices")),
+            kernels: None,
+            devices: vec![first.clone(), second.clone()],
+        };
+        let types = ["f32".to_owned()];
+        verdicts.refuse(&first, "crashes".to_owned(), &types).expect("kept");
+        verdicts.keep(&second, Workaround::None, &types).expect("kept");
+        assert_eq!(verdicts.find(&first, &types), None);
+        assert!(verdicts.refusal(&first, &types).is_some());
+        assert_eq!(verdicts.find(&second, &types), Some(Workaround::None));
     }
 }

@@ -3,11 +3,11 @@
 use isopeel_extraction::WorkError;
 use isopeel_extraction::fields;
 use isopeel_kernels::Samples;
+use isopeel_mesh::mesh::FieldValues;
 use isopeel_volumes::{Field, VolumeStep};
 use tokio_util::sync::CancellationToken;
 
 use crate::service::Extractor;
-use isopeel_mesh::mesh::FieldValues;
 
 /// A field, or an expression over fields, with the samples of a time step.
 pub struct FieldSamples {

@@ -2,10 +2,9 @@
 //!
 //! [`FileRequest`] is the request, [`MadeFile`] the file that answers it. The crate `isopeel-mesh` makes meshes of surfaces, and writes them.
 
+use isopeel_extraction::ExtractionStatistics;
 use isopeel_view::Edit;
 use isopeel_volumes::{LengthUnit, VolumeStep};
-
-use isopeel_extraction::ExtractionStatistics;
 
 mod contours;
 mod empty;

@@ -9,6 +9,7 @@ use flate2::Compression;
 use flate2::write::GzEncoder;
 use isopeel_extraction::{Slice, WorkError};
 use isopeel_geometry::{DVec3, IndexSpace};
+use isopeel_mesh::xml::escaped;
 use isopeel_view::FeatureName;
 use isopeel_volumes::{Field, Frame, LengthUnit, VolumeStep};
 use serde::{Deserialize, Serialize};
@@ -19,7 +20,6 @@ use super::contours::{Contour, contours};
 use super::picture::{Picture, samples_of};
 use super::placed::{PlacedPlane, nifti, nrrd};
 use crate::service::DeviceWorker;
-use isopeel_mesh::xml::escaped;
 
 /// Maximum isovalues of one file.
 pub const MAX_ISOVALUES: usize = 64;

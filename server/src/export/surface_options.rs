@@ -1,5 +1,6 @@
 //! Options of one of several surfaces of a file in a request: source, look and edit.
 
+use isopeel_mesh::mesh::{Material, rgb};
 use isopeel_view::{Edit, EditError};
 use serde::de::Error;
 use serde::{Deserialize, Deserializer, Serialize};
@@ -8,7 +9,6 @@ use utoipa::openapi::{RefOr, Schema};
 use utoipa::{PartialSchema, ToSchema};
 
 use super::schema::merged_schema;
-use isopeel_mesh::mesh::{Material, rgb};
 
 /// What a surface is of, and what it looks like.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]

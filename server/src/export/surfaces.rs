@@ -3,12 +3,12 @@
 use std::collections::HashMap;
 use std::sync::Arc;
 
+use isopeel_mesh::mesh::Material;
 use isopeel_view::{Edit, EditError, View};
 use isopeel_volumes::{Dataset, VolumeStep};
 use serde_json::Value;
 
 use super::{FileOptions, FileRequest, SurfaceOptions};
-use isopeel_mesh::mesh::Material;
 
 /// Maximum surfaces of a file: all their meshes are in memory at once. Each surface is admitted only if the earlier ones leave enough
 /// memory.

@@ -50,7 +50,7 @@ const MAX_LISTED: usize = 32;
 
 /// Minimum interval between two poses that a follower is sent, short enough for a smooth picture.
 const POSE_INTERVAL: Duration = Duration::from_millis(50);
-/// That interval is at least this for each follower of the group, so that all together get at most 5,000 poses a second.
+/// The interval is at least this multiplied by the number of followers, so that all followers together get at most 5,000 poses a second.
 const POSE_INTERVAL_PER_FOLLOWER: Duration = Duration::from_micros(200);
 /// Minimum interval between two messages that list the members of the group.
 const MEMBERS_INTERVAL: Duration = Duration::from_millis(250);

@@ -89,6 +89,20 @@ fn a_driver_that_ends_the_process_is_a_sentence() {
     );
 }
 
+/// As if the system had no memory left: the cause may be gone soon, and no verdict is kept.
+#[test]
+fn a_check_that_is_killed_is_not_remembered() {
+    let Some(broken) = Broken::new("kill minmax") else {
+        return;
+    };
+    says(
+        &broken.check(),
+        &["FAILS", "the process was killed in stage minmax (signal 9)"],
+    );
+    let verdicts = std::fs::read_dir(broken.folder.path().join("cache/devices"));
+    assert_eq!(verdicts.map_or(0, Iterator::count), 0);
+}
+
 #[test]
 fn a_driver_that_hangs_is_a_sentence() {
     let Some(broken) = Broken::new("hang minmax") else {

@@ -7,13 +7,15 @@
  *   "fail"    the next launch of a kernel fails as only a broken driver's does, nothing after it. The file is removed.
  *   "crash K" a launch of kernel K ends the process as long as the file is there; "hang K": it never returns; "wrong K": the kernel does not
  *             run, and the driver says that it did; "nobuild K": the program that has kernel K does not build.
- *             "crash", "hang" and "wrong" happen on all devices, or on those whose name begins with DEVICE_FAULT_ON.
+ *             "kill K": as "crash K", by a signal that the driver does not send.
+ *             All but "nobuild" happen on all devices, or on those whose name begins with DEVICE_FAULT_ON.
  *   "full N"  no buffer of more than N bytes can be had as long as the file is there.
  *
  * A lost device answers "out of resources", as NVIDIA's driver does: the caller cannot tell that from memory that ran out. */
 #define CL_TARGET_OPENCL_VERSION 120
 #include <CL/cl_layer.h>
 #include <pthread.h>
+#include <signal.h>
 #include <stddef.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -160,6 +162,7 @@ static cl_int CL_API_CALL enqueue_kernel(cl_command_queue queue, cl_kernel kerne
     if (is_lost(queue)) return CL_OUT_OF_RESOURCES;
     if (is_fault("fail")) return CL_INVALID_OPERATION;
     if (is_kernel_fault("crash", queue, kernel)) abort();
+    if (is_kernel_fault("kill", queue, kernel)) raise(SIGKILL);
     while (is_kernel_fault("hang", queue, kernel)) sleep(1);
     if (is_kernel_fault("wrong", queue, kernel)) return target->clEnqueueMarkerWithWaitList(queue, waits, wait_list, event);
     return target->clEnqueueNDRangeKernel(queue, kernel, dims, offset, global, local, waits, wait_list, event);
