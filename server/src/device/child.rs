@@ -214,10 +214,7 @@ fn check(index: usize, workaround: Workaround, first: &[String], later: &[String
     let engine = match open(index, workaround) {
         Ok(engine) => engine,
         // Another process may occupy the device for now.
-        Err(error @ (Error::Launch { .. } | Error::OutOfDeviceMemory { .. })) => {
-            return say(&Message::Failed { text: chain(&error) });
-        }
-        Err(error) => return say(&Message::Wrong { text: chain(&error) }),
+        Err(error) => return say(&failure(chain(&error), may_pass(&error))),
     };
     let checks = |names| {
         sample_types(names)
@@ -230,12 +227,8 @@ fn check(index: usize, workaround: Workaround, first: &[String], later: &[String
             for step in STEPS.iter().filter(|step| step.scope == scope) {
                 begin(step.stage)?;
                 if let Err(error) = check.run(step) {
-                    let text = text_of(&error);
-                    say(&if may_pass(&error) {
-                        Message::Failed { text }
-                    } else {
-                        Message::Wrong { text }
-                    })?;
+                    let is_temporary = matches!(&error, CheckError::Failed { source, .. } if may_pass(source));
+                    say(&failure(text_of(&error), is_temporary))?;
                     return Ok(false);
                 }
                 say(&Message::Passed {
@@ -254,15 +247,18 @@ fn check(index: usize, workaround: Workaround, first: &[String], later: &[String
     if all_right { say(&Message::Done) } else { Ok(()) }
 }
 
+/// Returns the message for an error.
+fn failure(text: String, is_temporary: bool) -> Message {
+    if is_temporary {
+        Message::Failed { text }
+    } else {
+        Message::Wrong { text }
+    }
+}
+
 /// Whether an error may have a temporary cause: the device was lost or out of memory, perhaps because of other processes.
-fn may_pass(error: &CheckError) -> bool {
-    matches!(
-        error,
-        CheckError::Failed {
-            source: Error::Launch { .. } | Error::OutOfDeviceMemory { .. },
-            ..
-        }
-    )
+fn may_pass(error: &Error) -> bool {
+    matches!(error, Error::Launch { .. } | Error::OutOfDeviceMemory { .. })
 }
 
 /// Returns an error's chain, with a compiler's log shortened to its first lines.

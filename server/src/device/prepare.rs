@@ -134,8 +134,8 @@ struct Search {
     candidates: VecDeque<DeviceInfo>,
     /// Ways in which the first candidate was already tried.
     tried: Vec<(Workaround, Option<Ended>)>,
-    /// Devices that failed in this search.
-    refused: Vec<Checked>,
+    /// Reports of the devices that failed in this search.
+    refused: Vec<String>,
     types: Types,
     environment: Environment,
     verdicts: Verdicts,
@@ -169,7 +169,7 @@ impl Search {
             let Some(workaround) = checked.passed() else {
                 tracing::warn!("{id} is not used:\n{}", checked.report());
                 checked.keep(&self.verdicts, &self.types);
-                self.refused.push(checked);
+                self.refused.push(checked.report());
                 continue;
             };
             checked.warn_of(workaround);
@@ -187,8 +187,7 @@ impl Search {
                 rest: Some(PendingCheck { child, search }),
             });
         }
-        let reports: Vec<_> = self.refused.iter().map(Checked::report).collect();
-        let report = reports.join("\n");
+        let report = self.refused.join("\n");
         Err(DeviceFailure::Unreliable { report })
     }
 

@@ -31,6 +31,13 @@ impl Broken {
         Some(Self { folder, layer })
     }
 
+    /// Writes a volume beside the driver.
+    fn ball(&self) -> PathBuf {
+        let volume = self.folder.path().join("ball.npy");
+        crate::support::ball::write(&volume);
+        volume
+    }
+
     fn run(&self, arguments: &[&str]) -> Output {
         self.command(arguments).output().expect("the binary starts")
     }
@@ -160,8 +167,7 @@ fn a_device_that_fails_is_used_only_if_it_is_trusted() {
     let Some(broken) = Broken::new("crash minmax") else {
         return;
     };
-    let volume = broken.folder.path().join("ball.npy");
-    crate::support::ball::write(&volume);
+    let volume = broken.ball();
     let volume = volume.to_str().expect("text");
     let refused = broken.run(&["extract", volume, "--iso", "0.5", "--stats"]);
     let text = String::from_utf8_lossy(&refused.stderr);
@@ -189,8 +195,7 @@ fn a_trusted_device_that_is_wrong_is_used_and_logged() {
     let Some(broken) = Broken::new("wrong histogram_bins") else {
         return;
     };
-    let volume = broken.folder.path().join("ball.npy");
-    crate::support::ball::write(&volume);
+    let volume = broken.ball();
     let volume = volume.to_str().expect("text");
     let edit = ["extract", volume, "--iso", "0.5", "--beta", "-1", "--stats"];
     let refused = broken.run(&edit);
@@ -210,8 +215,7 @@ fn the_choice_of_another_device_is_kept() {
     if !broken.is_pocl() {
         return;
     }
-    let volume = broken.folder.path().join("ball.npy");
-    crate::support::ball::write(&volume);
+    let volume = broken.ball();
     let run = |arguments: &[&str]| {
         let mut command = broken.command(arguments);
         // PoCL offers the same processors twice, and lists `basic` first.
@@ -292,8 +296,7 @@ fn a_server_whose_driver_fails_late_starts_again_with_a_workaround() {
     if !broken.is_pocl() {
         return;
     }
-    let volume = broken.folder.path().join("ball.npy");
-    crate::support::ball::write(&volume);
+    let volume = broken.ball();
     let cache = broken.folder.path().join("cache");
     let environment = [
         ("OPENCL_LAYERS", &*broken.layer),
@@ -334,8 +337,7 @@ fn others_work_while_a_request_waits_for_the_check_of_its_program() {
     let Some(broken) = Broken::new("hang slice") else {
         return;
     };
-    let volume = broken.folder.path().join("ball.npy");
-    crate::support::ball::write(&volume);
+    let volume = broken.ball();
     let (fault, cache) = (broken.folder.path().join("fault"), broken.folder.path().join("cache"));
     let environment = [
         ("OPENCL_LAYERS", &*broken.layer),
