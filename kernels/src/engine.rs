@@ -5,7 +5,7 @@ use crate::context::Context;
 use crate::program::{CompilerCheck, Gate};
 use crate::stages;
 use crate::stages::histogram::{self, HistogramWork};
-use crate::stages::overview::{self, OverviewWork};
+use crate::stages::overview::{self, OverviewPart, OverviewValues};
 use crate::{DeviceInfo, Error, Feature, Grid, Histogram, Result, SampleType, StageTime, Tuning, Volume, tables};
 
 mod build;
@@ -163,12 +163,13 @@ impl Engine {
         histogram::step(&self.cx, volume, feature, work)
     }
 
-    /// Does the next part of an overview, one launch of some milliseconds. The parts before it may have been done by another engine.
+    /// Returns the values of a part of an overview, one launch of some milliseconds. The parts before it may have been done by another
+    /// engine.
     ///
     /// # Errors
-    /// What the device says, or a volume of another size; `work` is as before.
-    pub fn continue_overview(&self, volume: &Volume, work: &mut OverviewWork) -> Result<()> {
-        overview::step(&self.cx, volume, work)
+    /// What the device says, or a volume of another size.
+    pub fn overview_values(&self, volume: &Volume, part: &OverviewPart) -> Result<OverviewValues> {
+        overview::values_of(&self.cx, volume, part)
     }
 
     /// Waits for the commands in flight, and returns the time of each stage since the last call, pyramid or surface. A job that pauses for

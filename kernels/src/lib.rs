@@ -81,7 +81,7 @@ pub use rectilinear::RectilinearGrid;
 pub use shared_slice::SharedSlice;
 pub use sources::build_id;
 pub use stages::histogram::HistogramWork;
-pub use stages::overview::{Overview, OverviewMode, OverviewWork};
+pub use stages::overview::{Overview, OverviewMode, OverviewPart, OverviewValues, OverviewWork};
 pub use surface::{
     Count, ErrorEstimate, MeasuredError, Region, RemovedParts, StageTime, Surface, SurfaceError, SurfaceStatistics,
     Vertex,

@@ -353,11 +353,11 @@ impl<'a> Check<'a> {
 
     fn overview(&mut self) -> Result<(), Finding> {
         let mut work = OverviewWork::new(DIMS, OverviewMode::Mean, OVERVIEW_SIDE);
-        let found = loop {
-            match work.complete() {
-                Some(found) => break found,
-                None => self.engine.continue_overview(self.volume(), &mut work)?,
-            }
+        while let Some(part) = work.next() {
+            work.add(self.engine.overview_values(self.volume(), part)?);
+        }
+        let Some(found) = work.complete() else {
+            return exact("an overview without further parts is complete", false, true);
         };
         let (means, [lo, hi]) = block_means(found.factors, found.dims);
         near("smallest mean", found.range[0], lo)?;

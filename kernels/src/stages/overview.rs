@@ -75,19 +75,56 @@ pub struct Overview {
     pub codes: Vec<u8>,
 }
 
+/// Blocks of an overview, and what stands for each.
+#[derive(Clone, Copy, Debug)]
+struct Blocks {
+    mode: OverviewMode,
+    /// Samples of the volume along each axis.
+    samples: [u32; 3],
+    /// Samples of a block along each axis.
+    factors: [u32; 3],
+    /// Blocks along each axis.
+    dims: [u32; 3],
+}
+
+/// A part of an overview: one launch of some milliseconds.
+#[derive(Clone, Debug)]
+pub struct OverviewPart {
+    blocks: Blocks,
+    slab: usize,
+    /// The first of the slab's rows of blocks.
+    row: u32,
+    pace: Pace,
+}
+
+/// Values of a part of an overview.
+#[derive(Debug)]
+pub struct OverviewValues {
+    /// The first block.
+    first: usize,
+    /// For each block the first sample with the sum of the scaled differences from it, or the maximum.
+    values: Vec<[f32; 2]>,
+    counts: Vec<u32>,
+    /// The part that follows.
+    next: Option<OverviewPart>,
+}
+
 /// An overview that is being made.
 #[derive(Debug)]
 pub struct OverviewWork {
-    mode: OverviewMode,
-    samples: [u32; 3],
-    factors: [u32; 3],
-    dims: [u32; 3],
-    /// What comes next: a slab, and of its rows of blocks.
-    next: Option<(usize, u32)>,
+    blocks: Blocks,
+    next: Option<OverviewPart>,
     /// Sums of scaled samples, or maxima.
     values: Vec<f64>,
     counts: Vec<u32>,
-    pace: Pace,
+}
+
+impl Blocks {
+    /// A power of two, with which no sum of a block's values overflows.
+    fn scale(&self) -> f32 {
+        let block: u64 = self.factors.iter().map(|&n| u64::from(n)).product();
+        1.0 / block.next_power_of_two() as f32
+    }
 }
 
 impl OverviewWork {
@@ -95,32 +132,54 @@ impl OverviewWork {
     pub fn new(samples: [u32; 3], mode: OverviewMode, side: u32) -> Self {
         let factors = samples.map(|n| n.div_ceil(side.max(1)).max(1));
         let dims = [0, 1, 2].map(|axis| samples[axis].div_ceil(factors[axis]));
-        let blocks = dims.iter().map(|&n| n as usize).product();
+        let count = dims.iter().map(|&n| n as usize).product();
         let nothing = match mode {
             OverviewMode::Mean => 0.0,
             OverviewMode::Maximum => f64::NEG_INFINITY,
         };
         let row = u64::from(samples[0]) * u64::from(factors[1]) * u64::from(factors[2]);
-        Self {
+        let blocks = Blocks {
             mode,
             samples,
             factors,
             dims,
-            next: Some((0, 0)),
-            values: vec![nothing; blocks],
-            counts: vec![0; blocks],
-            pace: Pace::new(FIRST_SAMPLES / row.max(1), 1, u64::from(dims[1]) * u64::from(dims[2])),
+        };
+        Self {
+            blocks,
+            next: Some(OverviewPart {
+                blocks,
+                slab: 0,
+                row: 0,
+                pace: Pace::new(FIRST_SAMPLES / row.max(1), 1, u64::from(dims[1]) * u64::from(dims[2])),
+            }),
+            values: vec![nothing; count],
+            counts: vec![0; count],
         }
     }
 
-    /// Whether all launches have run.
-    pub fn is_done(&self) -> bool {
-        self.next.is_none()
+    /// Returns the next part; `None` once all are done.
+    pub fn next(&self) -> Option<&OverviewPart> {
+        self.next.as_ref()
+    }
+
+    /// Adds the values of the next part.
+    pub fn add(&mut self, found: OverviewValues) {
+        let scale = f64::from(self.blocks.scale());
+        for (i, (value, &count)) in found.values.iter().zip(&found.counts).enumerate() {
+            let own = &mut self.values[found.first + i];
+            let [value, differences] = value.map(f64::from);
+            match self.blocks.mode {
+                OverviewMode::Mean => *own += value * f64::from(count) * scale + differences,
+                OverviewMode::Maximum => *own = own.max(value),
+            }
+            self.counts[found.first + i] += count;
+        }
+        self.next = found.next;
     }
 
     /// The overview, once it is complete.
     pub fn complete(&self) -> Option<Overview> {
-        if !self.is_done() {
+        if self.next.is_some() {
             return None;
         }
         let values = || {
@@ -142,8 +201,8 @@ impl OverviewWork {
             1 + (share * (LARGEST_CODE - 1.0)).round() as u8
         };
         Some(Overview {
-            dims: self.dims,
-            factors: self.factors,
+            dims: self.blocks.dims,
+            factors: self.blocks.factors,
             range: [lo, hi],
             codes: values().map(|value| value.map_or(0, code)).collect(),
         })
@@ -151,63 +210,43 @@ impl OverviewWork {
 
     /// The value of a block.
     fn value(&self, value: f64, count: u32) -> Option<f32> {
-        match self.mode {
+        match self.blocks.mode {
             _ if count == 0 => None,
-            OverviewMode::Mean => Some((value / (f64::from(count) * f64::from(self.scale()))) as f32),
+            OverviewMode::Mean => Some((value / (f64::from(count) * f64::from(self.blocks.scale()))) as f32),
             OverviewMode::Maximum => Some(value as f32),
-        }
-    }
-
-    /// A power of two, with which no sum of a block's values overflows.
-    fn scale(&self) -> f32 {
-        let block: u64 = self.factors.iter().map(|&n| u64::from(n)).product();
-        1.0 / block.next_power_of_two() as f32
-    }
-
-    /// Adds what a launch found for the blocks from one on.
-    fn merge(&mut self, first: usize, values: &[[f32; 2]], counts: &[u32]) {
-        let scale = f64::from(self.scale());
-        for (i, (value, &count)) in values.iter().zip(counts).enumerate() {
-            let own = &mut self.values[first + i];
-            let [value, differences] = value.map(f64::from);
-            match self.mode {
-                OverviewMode::Mean => *own += value * f64::from(count) * scale + differences,
-                OverviewMode::Maximum => *own = own.max(value),
-            }
-            self.counts[first + i] += count;
         }
     }
 }
 
-/// Does one launch of some milliseconds.
-pub fn step(cx: &Context, volume: &Volume, work: &mut OverviewWork) -> Result<()> {
-    if volume.grid.dims != work.samples {
+/// Returns the values of a part.
+pub fn values_of(cx: &Context, volume: &Volume, part: &OverviewPart) -> Result<OverviewValues> {
+    let blocks = part.blocks;
+    if volume.grid.dims != blocks.samples {
         let why = format!(
             "a volume of {:?} samples, expected one of {:?}",
-            volume.grid.dims, work.samples
+            volume.grid.dims, blocks.samples
         );
         return Err(Error::Invalid { what: "overview", why });
     }
-    let Some((number, next)) = work.next else { return Ok(()) };
-    let Some(slab) = volume.slabs.get(number) else {
-        work.next = None;
-        return Ok(());
+    let Some(slab) = volume.slabs.get(part.slab) else {
+        let why = format!("slab {}, expected one of {}", part.slab, volume.slabs.len());
+        return Err(Error::Invalid { what: "overview", why });
     };
     let start = Instant::now();
     let planes = own_planes(volume, &slab.layers);
-    let [width, height, _] = work.dims;
-    let depth = work.factors[2];
+    let [width, height, _] = blocks.dims;
+    let depth = blocks.factors[2];
     // A block may lie in two slabs, each of which has some of its planes.
     let [first, end] = [planes.start / depth * height, planes.end.div_ceil(depth) * height];
-    let row = first + next;
+    let row = first + part.row;
     let max_rows = cx.limit_bytes / (u64::from(width) * size_of::<[f32; 2]>() as u64);
-    let rows = work.pace.units().min(u64::from(end - row)).min(max_rows.max(1)) as u32;
+    let rows = part.pace.units().min(u64::from(end - row)).min(max_rows.max(1)) as u32;
     let count = rows * width;
     let args = OverviewArgs {
         grid: volume.layout(),
         z0: slab.z0,
-        factor_x: work.factors[0],
-        factor_y: work.factors[1],
+        factor_x: blocks.factors[0],
+        factor_y: blocks.factors[1],
         factor_z: depth,
         width,
         height,
@@ -215,8 +254,8 @@ pub fn step(cx: &Context, volume: &Volume, work: &mut OverviewWork) -> Result<()
         count,
         first_plane: planes.start,
         end_plane: planes.end,
-        scale: work.scale(),
-        is_maximum: u32::from(work.mode == OverviewMode::Maximum),
+        scale: blocks.scale(),
+        is_maximum: u32::from(blocks.mode == OverviewMode::Maximum),
     };
     let kernel = cx.kernel(volume.sample_type, "overview")?;
     let values = cx.buffer::<[f32; 2]>(STAGE, count as usize)?;
@@ -231,11 +270,21 @@ pub fn step(cx: &Context, volume: &Volume, work: &mut OverviewWork) -> Result<()
     )?;
     let values = cx.read(STAGE, &values, count as usize)?;
     let counts = cx.read(STAGE, &counts, count as usize)?;
-    work.merge(row as usize * width as usize, &values, &counts);
-    work.pace.took(rows.into(), start.elapsed());
-    work.next = match row + rows < end {
-        true => Some((number, next + rows)),
-        false => Some((number + 1, 0)).filter(|(number, _)| *number < volume.slabs.len()),
+    let mut pace = part.pace.clone();
+    pace.took(rows.into(), start.elapsed());
+    let next = match row + rows < end {
+        true => Some((part.slab, part.row + rows)),
+        false => Some((part.slab + 1, 0)).filter(|(slab, _)| *slab < volume.slabs.len()),
     };
-    Ok(())
+    Ok(OverviewValues {
+        first: row as usize * width as usize,
+        values,
+        counts,
+        next: next.map(|(slab, row)| OverviewPart {
+            blocks,
+            slab,
+            row,
+            pace,
+        }),
+    })
 }

@@ -5,6 +5,7 @@ use isopeel_kernels::{Error, RectilinearGrid, SampleType};
 
 use super::job_error::JobError;
 use super::keys::VolumeKey;
+use super::requests::ReadAhead;
 use super::workspace::Workspace;
 
 impl Workspace {
@@ -18,11 +19,10 @@ impl Workspace {
         grid: &RectilinearGrid,
         sample_type: SampleType,
         missing: Option<f32>,
-        budget: u64,
-        is_used: &dyn Fn(&VolumeKey) -> bool,
+        ahead: &ReadAhead,
     ) -> Result<bool, JobError> {
         let bytes = self.engine().upload_bytes(grid.grid(), sample_type.bytes());
-        if !self.make_space_ahead(bytes, budget, is_used) {
+        if !self.make_space_ahead(bytes, ahead) {
             return Ok(false);
         }
         match self.engine().begin_upload(grid, sample_type, missing) {
@@ -36,9 +36,9 @@ impl Workspace {
 
     /// Evicts volumes that are not in use until `bytes` fit: first those that were read ahead and never used, oldest first, until they and
     /// the new one keep the budget; then others. Returns false, and evicts nothing, if that cannot free enough.
-    pub fn make_space_ahead(&mut self, bytes: u64, budget: u64, is_used: &dyn Fn(&VolumeKey) -> bool) -> bool {
-        let pins = &self.pins;
-        let stays = |key: &VolumeKey| pins.holds(key) || is_used(key);
+    pub fn make_space_ahead(&mut self, bytes: u64, ahead: &ReadAhead) -> bool {
+        let (pins, budget) = (&self.pins, ahead.budget);
+        let stays = |key: &VolumeKey| pins.holds(key) || ahead.open.contains(&key.step);
         let kept: u64 = self
             .volumes
             .costs()

@@ -157,10 +157,9 @@ impl Workspace {
         if self.is_resident(key) {
             return Ok(());
         }
-        let progress = ReadProgress::default();
         let is_computed = key.is_computed(volume)
             && self.run_to_completion(volume, cancel, |workspace, context| {
-                workspace.compute(volume, key, &progress, None, context)
+                workspace.compute(volume, key, None, context)
             })?;
         if is_computed {
             return Ok(());

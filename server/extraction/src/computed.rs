@@ -4,7 +4,7 @@ use std::rc::Rc;
 use std::time::{Duration, Instant};
 
 use isopeel_kernels::{Cancel, DeviceKind, Error, Volume};
-use isopeel_volumes::{ReadProgress, VolumeStep};
+use isopeel_volumes::VolumeStep;
 
 use super::WorkError;
 use super::context::{JobContext, JobTimes};
@@ -16,17 +16,16 @@ use super::workspace::Workspace;
 impl Workspace {
     /// Computes a field from others and makes it resident. Returns false if the host has to mask the field: its inputs are not resident
     /// because there was no space for them, or the check of the device has not reached masking yet. The computation is launched in pieces
-    /// of limited time, and other jobs run between them. `payer` is charged for the device time.
+    /// of limited time, and other jobs run between them. `user` is charged for the device time.
     ///
     /// # Errors
-    /// [`JobError`]. If `progress` is cancelled, because no caller waits for the field any more: [`WorkError::Cancelled`]. If the computation
-    /// exceeds the limit of a request or of the user: [`WorkError::TookTooLong`] or [`WorkError::UserTime`].
+    /// [`JobError`]. If the computation exceeds the limit of a request or of the user: [`WorkError::TookTooLong`] or
+    /// [`WorkError::UserTime`].
     pub fn compute(
         &mut self,
         volume: &VolumeStep,
         key: &VolumeKey,
-        progress: &ReadProgress,
-        payer: Option<&Payer>,
+        user: Option<&str>,
         context: &mut JobContext<'_, Self>,
     ) -> Result<bool, JobError> {
         let Some((recipe, inputs)) = key.recipe(volume).filter(|_| !self.is_resident(key)) else {
@@ -36,9 +35,8 @@ impl Workspace {
         if is_mask && !inputs.iter().all(|input| self.is_resident(input)) {
             return Ok(false);
         }
-        if progress.is_cancelled() {
-            return Err(WorkError::Cancelled.into());
-        }
+        let payer = user.map(|user| Payer::new(&self.user_times, user));
+        let payer = payer.as_ref();
         let limit = TimeLimit::new(self.request_time, payer)?;
         self.use_fields(volume, &inputs)?;
         let resident = |input: &VolumeKey| self.volumes.peek(input).map(Rc::clone).ok_or(WorkError::Stopped);
@@ -54,7 +52,6 @@ impl Workspace {
         let computed = context.run(self, &take_times, &job_times, |cancel| {
             let cancel = &FieldCancel {
                 cancel,
-                progress,
                 is_over_limit: &is_over_limit,
             };
             match &recipe {
@@ -148,16 +145,15 @@ impl TimeLimit {
     }
 }
 
-/// Cancellation of a field's computation: by its job, after its last caller is gone, or if it exceeds its time limit.
+/// Cancellation of a field's computation: by its job, or if it exceeds its time limit.
 struct FieldCancel<'a> {
     cancel: &'a dyn Cancel,
-    progress: &'a ReadProgress,
     is_over_limit: &'a dyn Fn() -> bool,
 }
 
 impl Cancel for FieldCancel<'_> {
     fn is_cancelled(&self) -> bool {
-        self.cancel.is_cancelled() || self.progress.is_cancelled() || (self.is_over_limit)()
+        self.cancel.is_cancelled() || (self.is_over_limit)()
     }
 
     fn pause(&self) {

@@ -7,6 +7,7 @@
 //! - Workspace: `workspace` holds the resident data in caches (`residency`, `cuts`, `histogram_cache`) by keys (`keys`, `identity`).
 //!   `context`: cancellation and pauses of a piece of work. `job_error`, `error`: its errors. `observer`: counters and timers. `complete`
 //!   runs work and loads what it needs. `user_time`: device time that the computed fields of each user have taken.
+//! - `requests`: all that a workspace can be asked for, as data.
 //! - Fields: `reading` reads them, `uploads` sends them to the device, on `grids`; `ahead` does so for time steps that a viewer may reach
 //!   next; `release` frees those of a time step. `pins`: fields that must stay resident. `computed` and `fields` compute fields from others,
 //!   on the device and on the host. `dataset_views`: the initial view of a dataset.
@@ -61,6 +62,7 @@ mod questions;
 mod reading;
 mod refine;
 mod release;
+mod requests;
 mod residency;
 mod results;
 mod shares;
@@ -91,6 +93,12 @@ pub use questions::{
     Question, ShownSurface, VertexErrors,
 };
 pub use reading::{Piece, bytes_while_read, read};
+pub use requests::{
+    Ask, BeginUpload, CheckAnswers, Compute, ContinueHistogram, ContinueOverview, ContinueTable, ContinueUpload, Count,
+    DeviceReply, DeviceRequest, DropUpload, Extract, FindResident, FinishUpload, Improve, MakeHostSpace,
+    MakeSpaceAhead, Measure, Prepare, ReadAhead, ReadSamples, ReadSlice, Refine, Release, Request, Resolve, UseField,
+    UseHistogramFields, VolumeRequest,
+};
 pub use residency::Lru;
 pub use results::{
     CutId, ExportWork, Extraction, FullCount, Making, Measurement, Measuring, Refinement, Refining, Shown, Step,
@@ -98,5 +106,5 @@ pub use results::{
 pub use shares::PROCESSOR_BYTES;
 pub use slices::Slice;
 pub use statistics::{Cleaned, EstimatedError, ExtractionStatistics, MeasuredError, Shape};
-pub use user_time::{Payer, USER_TIME_PERIOD, UserTimes};
+pub use user_time::{USER_TIME_PERIOD, UserTimes};
 pub use workspace::{Options, Workspace};

@@ -1,6 +1,6 @@
 //! Volumes at a low resolution, made in slices of work.
 
-use isopeel_kernels::OverviewWork;
+use isopeel_kernels::{OverviewPart, OverviewValues};
 use isopeel_volumes::VolumeStep;
 
 use super::WorkError;
@@ -9,7 +9,7 @@ use super::keys::VolumeKey;
 use super::workspace::Workspace;
 
 impl Workspace {
-    /// Runs the next slice of work; returns whether it was the last one.
+    /// Returns the values of a part of an overview.
     ///
     /// # Errors
     /// [`JobError::NotResident`], and the device's errors.
@@ -17,14 +17,10 @@ impl Workspace {
         &mut self,
         volume: &VolumeStep,
         key: &VolumeKey,
-        work: &mut OverviewWork,
-    ) -> Result<bool, JobError> {
-        if work.is_done() {
-            return Ok(true);
-        }
+        part: &OverviewPart,
+    ) -> Result<OverviewValues, JobError> {
         self.use_field(volume, key)?;
         let resident = self.resident(key).ok_or(WorkError::Stopped)?;
-        self.engine().continue_overview(resident, work)?;
-        Ok(work.is_done())
+        Ok(self.engine().overview_values(resident, part)?)
     }
 }

@@ -24,6 +24,7 @@ use super::observer::{Observer, Unobserved};
 use super::pins::Pins;
 use super::residency::Lru;
 use super::shares::Shares;
+use super::user_time::UserTimes;
 use super::{WorkError, chain};
 
 /// Share of the device's memory for resident volumes, in percent. The rest is for pyramids (`shares`), the stages' buffers and other processes.
@@ -42,6 +43,8 @@ pub struct Options {
     pub surface_bytes: Option<u64>,
     /// Maximum device time for computing one field; `None`: no limit.
     pub request_time: Option<Duration>,
+    /// Device time that users have taken for computed fields; kept when the workspace is made again.
+    pub user_times: Arc<UserTimes>,
     /// Counters and timers.
     pub observer: Arc<dyn Observer + Send + Sync>,
     /// Pool for long work on the host's processors; `None`: rayon's own.
@@ -55,6 +58,7 @@ impl Default for Options {
             pins: Pins::default(),
             surface_bytes: None,
             request_time: None,
+            user_times: UserTimes::new(None),
             observer: Arc::new(Unobserved),
             long_work: None,
         }
@@ -78,6 +82,7 @@ pub struct Workspace {
     pub(crate) surface_bytes: u64,
     /// Maximum device time for computing one field.
     pub(crate) request_time: Option<Duration>,
+    pub(crate) user_times: Arc<UserTimes>,
     pub(crate) histograms: HistogramCache,
     pub(crate) pins: Pins,
     pub(crate) observer: Arc<dyn Observer + Send + Sync>,
@@ -96,6 +101,7 @@ impl Workspace {
             pins,
             surface_bytes,
             request_time,
+            user_times,
             observer,
             long_work,
         } = options;
@@ -111,6 +117,7 @@ impl Workspace {
             computed: HashSet::new(),
             surface_bytes: shares.total(),
             request_time,
+            user_times,
             pyramids: Lru::new(shares.pyramids),
             trees: Rc::new(RefCell::new(Lru::new(shares.trees))),
             cuts: Rc::new(RefCell::new(Cuts::new(shares.cuts))),

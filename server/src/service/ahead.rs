@@ -2,13 +2,12 @@
 //! no memory from data in use: neither from volumes that jobs work on (`pins`), nor from time steps that viewers have open
 //! ([`OpenStepGuard`]).
 
-use isopeel_extraction::{JobError, Masking, VolumeKey, WorkError, padded_grid, view_keys, with_inputs};
+use isopeel_extraction::{MakeSpaceAhead, Masking, ReadAhead, Release, VolumeKey, WorkError, view_keys, with_inputs};
 use isopeel_view::View;
 use isopeel_volumes::VolumeStep;
 use tokio_util::sync::CancellationToken;
 
 use super::open_steps::OpenStepGuard;
-use super::scheduler::{Caller, Length};
 use super::worker::DeviceWorker;
 
 impl DeviceWorker {
@@ -56,21 +55,25 @@ impl DeviceWorker {
         Ok(())
     }
 
-    /// Returns a predicate: whether a viewer has the time step of a field open.
-    pub(super) fn is_open(&self) -> impl Fn(&VolumeKey) -> bool + Send + use<> {
-        self.shared.ahead.is_open()
+    /// Returns the limits of reading ahead.
+    pub(super) fn limits_ahead(&self, budget: u64) -> ReadAhead {
+        let open = self.shared.ahead.open();
+        ReadAhead { budget, open }
     }
 
     /// Makes space for a field that is not resident. Returns false if it is resident already, or if space would have to come from data in
     /// use or from beyond the budget.
     async fn has_space_ahead(&self, volume: &VolumeStep, key: &VolumeKey, budget: u64) -> Result<bool, WorkError> {
-        let (never, key, is_used) = (CancellationToken::new(), key.clone(), self.is_open());
-        let grid = padded_grid(volume, key.padded)?;
-        let sample_bytes = key.sample_bytes(volume)?;
-        let job = self.run(&never, Caller::Cache, Length::Short, move |state, _| {
-            let bytes = state.engine().upload_bytes(grid.grid(), sample_bytes);
-            Ok::<_, JobError>(!state.is_resident(&key) && state.make_space_ahead(bytes, budget, &is_used))
-        });
-        Ok(job.await?)
+        let request = MakeSpaceAhead {
+            volume: volume.clone(),
+            key: key.clone(),
+            ahead: self.limits_ahead(budget),
+        };
+        self.run_for_cache(request).await
+    }
+
+    /// Frees the samples, pyramids and vertex trees of a time step that nothing will use again. If the device is lost, they are gone anyway.
+    pub async fn release(&self, volume: &VolumeStep) {
+        let _ = self.run_for_cache(Release { step: volume.key() }).await;
     }
 }

@@ -2,11 +2,12 @@
 
 use std::pin::Pin;
 
-use isopeel_extraction::{HistogramKey, JobContext, JobError, Pinned, VolumeKey, WorkError, Workspace};
+use isopeel_extraction::{HistogramKey, JobError, Pinned, VolumeKey, VolumeRequest, WorkError};
 use isopeel_volumes::VolumeStep;
 use tokio_util::sync::CancellationToken;
 
-use super::scheduler::{Caller, Length};
+use super::job::length_of;
+use super::scheduler::Caller;
 use super::worker::DeviceWorker;
 
 /// Maximum attempts at a request's job before it fails with [`WorkError::Busy`]. Loading its volumes once is not always enough: if the
@@ -61,38 +62,37 @@ impl DeviceWorker {
         }
     }
 
-    /// Runs a job until it has a result. Retries it after loading volumes that were not resident or making histograms, as a long job if it
-    /// takes long, and on a device that was reopened.
-    pub(super) async fn run_with_retries<T, F>(
+    /// Runs a request until it has a result. Retries it after loading volumes that were not resident or making histograms, after the check of
+    /// a program that it needs, as a long job if it takes long, and on a device that was reopened.
+    ///
+    /// # Errors
+    /// [`WorkError`].
+    pub(super) async fn perform<R: VolumeRequest>(
         &self,
-        volume: &VolumeStep,
-        token: &CancellationToken,
         caller: Caller,
-        mut length: Length,
-        job: F,
-    ) -> Result<T, WorkError>
-    where
-        T: Send + 'static,
-        F: Fn(&mut Workspace, &VolumeStep, &mut JobContext<'_, Workspace>) -> Result<T, JobError>
-            + Clone
-            + Send
-            + 'static,
-    {
-        let mut retries = Retries::default();
-        let attempts = match caller {
+        request: R,
+        token: &CancellationToken,
+    ) -> Result<R::Reply, WorkError> {
+        let (mut retries, mut length) = (Retries::default(), None);
+        let mut attempts = match caller {
             Caller::Request => MAX_REQUEST_ATTEMPTS,
             Caller::Viewer | Caller::Cache => usize::MAX,
         };
-        for _ in 0..attempts {
-            let (job, step) = (job.clone(), volume.clone());
-            let outcome = self.run_when_proven(token, caller, length, move |workspace, context| {
-                job(workspace, &step, context)
-            });
-            match outcome.await {
-                Ok(value) => return Ok(value),
-                Err(JobError::TakesLong) => length = caller.long(),
-                Err(error) => self.prepare_retry(volume, error, &mut retries, token).await?,
+        while attempts > 0 {
+            let attempt = request.clone().into();
+            let length_now = length.unwrap_or_else(|| length_of(&attempt, caller));
+            let error = match self.run_as(length_now, caller, attempt, token).await {
+                Ok(reply) => return R::take_reply(reply).ok_or(WorkError::Stopped),
+                Err(error) => error,
+            };
+            let Err(error) = self.wait_until_proven(error, token).await else {
+                continue;
+            };
+            match error {
+                JobError::TakesLong => length = Some(caller.long()),
+                error => self.prepare_retry(request.volume(), error, &mut retries, token).await?,
             }
+            attempts -= 1;
         }
         Err(WorkError::Busy)
     }

@@ -10,14 +10,15 @@ use std::sync::{Arc, Mutex, OnceLock};
 use std::time::Duration;
 
 use isopeel_extraction::{
-    HistogramCache, Observer, OpenError, Options, Pins, Workspace, WorkspaceMemory, lock, resident_bytes,
+    HistogramCache, Observer, OpenError, Options, Pins, UserTimes, Workspace, WorkspaceMemory, lock, resident_bytes,
 };
 use isopeel_kernels::check::{Check, STEPS, Scope};
 use isopeel_kernels::{DeviceInfo, Engine, SampleType, Tuning};
 use serde::Serialize;
 use tokio::sync::{mpsc, watch};
 
-use super::scheduler::{Job, Queue};
+use super::job::DeviceJob;
+use super::scheduler::Queue;
 use crate::device::{Proven, cache};
 use crate::error::chain;
 use crate::{metrics, pool};
@@ -166,6 +167,7 @@ pub(super) struct DeviceThread {
     pub retries_opening: bool,
     pub surface_bytes: Option<u64>,
     pub request_time: Option<Duration>,
+    pub user_times: Arc<UserTimes>,
     pub state: Arc<watch::Sender<DeviceState>>,
     pub memory: watch::Sender<WorkspaceMemory>,
     /// Number of the current engine.
@@ -178,7 +180,7 @@ pub(super) struct DeviceThread {
 
 impl DeviceThread {
     /// Runs jobs until all senders of the queue are dropped, or the device cannot be opened.
-    pub(super) fn run(self, choose: DeviceChooser, jobs: mpsc::Receiver<Job<Workspace>>) {
+    pub(super) fn run(self, choose: DeviceChooser, jobs: mpsc::Receiver<DeviceJob>) {
         let choice = match choose(&StateReporter(Arc::clone(&self.state))) {
             Ok(choice) => choice,
             Err(ChoiceError::Refused(why)) => {
@@ -276,6 +278,7 @@ impl DeviceThread {
                 pins: self.pins.clone(),
                 surface_bytes: self.surface_bytes,
                 request_time: self.request_time,
+                user_times: Arc::clone(&self.user_times),
                 observer: Arc::new(Metrics),
                 long_work: pool::exports(),
             },
@@ -289,7 +292,7 @@ impl DeviceThread {
 
     /// Reopens a lost device, and gives it a new workspace. Retries until that succeeds or all handles are dropped; meanwhile waiting jobs
     /// fail.
-    fn reopen(&self, choice: &Choice, workspace: &mut Workspace, queue: &mut Queue<Workspace>) {
+    fn reopen(&self, choice: &Choice, workspace: &mut Workspace, queue: &mut Queue<DeviceJob>) {
         self.state.send_replace(DeviceState::Opening(Preparation::default()));
         // Buffers of the lost device may prevent it from being reopened.
         discard(|| workspace.clear());

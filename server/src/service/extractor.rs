@@ -4,8 +4,8 @@ use std::time::{Duration, Instant};
 
 use isopeel_codec::encode::encoded_bytes;
 use isopeel_extraction::{
-    ByteSearch, ExportWork, Extraction, FullCount, HostMemory, Making, Measurement, Measuring, Refinement, Refining,
-    Step, Trial, WorkError,
+    ByteSearch, Count, ExportWork, Extract, Extraction, FullCount, HostMemory, Improve, MakeHostSpace, Making, Measure,
+    Measurement, Measuring, Refine, Refinement, Refining, Step, Trial, WorkError,
 };
 use isopeel_kernels::Surface;
 use isopeel_view::View;
@@ -14,7 +14,7 @@ use isopeel_volumes::VolumeStep;
 use tokio_util::sync::CancellationToken;
 
 use super::DeviceWorker;
-use super::scheduler::{Caller, Length};
+use super::scheduler::Caller;
 use crate::pool;
 
 /// Makes surfaces that keep budgets and limits. Clones are cheap.
@@ -57,7 +57,8 @@ impl Extractor {
         view: &View,
         token: &CancellationToken,
     ) -> Result<FullCount, WorkError> {
-        self.worker.count(volume, view, token).await
+        let (volume, view) = (volume.clone(), view.clone());
+        self.worker.perform(Caller::Viewer, Count { volume, view }, token).await
     }
 
     /// Makes the next step from the surface that a client shows to the surface of a view.
@@ -72,8 +73,16 @@ impl Extractor {
         token: &CancellationToken,
     ) -> Result<Refinement, WorkError> {
         let view = self.with_fitted_bytes(Caller::Viewer, volume, view, token).await?;
-        self.within_memory(|ceiling| self.worker.refine(volume, &view, step, ceiling, token))
-            .await
+        self.within_memory(|ceiling| {
+            let request = Refine {
+                volume: volume.clone(),
+                view: view.clone(),
+                step,
+                ceiling,
+            };
+            self.worker.perform(Caller::Viewer, request, token)
+        })
+        .await
     }
 
     /// Makes the final surface of a view again, as a cut of the vertex tree. For a viewer at rest, because building the tree takes longer.
@@ -87,8 +96,15 @@ impl Extractor {
         view: &View,
         token: &CancellationToken,
     ) -> Result<Option<Refinement>, WorkError> {
-        self.within_memory(|ceiling| self.worker.improve(volume, view, ceiling, token))
-            .await
+        self.within_memory(|ceiling| {
+            let request = Improve {
+                volume: volume.clone(),
+                view: view.clone(),
+                ceiling,
+            };
+            self.worker.perform(Caller::Viewer, request, token)
+        })
+        .await
     }
 
     /// Measures how far the final surface of a view, whose budget is fitted, is from the undecimated one. `None` for surfaces of the
@@ -102,13 +118,12 @@ impl Extractor {
         view: &View,
         token: &CancellationToken,
     ) -> Result<Option<Measurement>, WorkError> {
-        self.measure_for((Caller::Viewer, Length::Rest), volume, view, token)
-            .await
+        self.measure_for(Caller::Viewer, volume, view, token).await
     }
 
     async fn measure_for(
         &self,
-        caller: (Caller, Length),
+        caller: Caller,
         volume: &VolumeStep,
         view: &View,
         token: &CancellationToken,
@@ -116,7 +131,8 @@ impl Extractor {
         if view.mesher != MesherName::Dual {
             return Ok(None);
         }
-        self.worker.measure_for(caller, volume, view, token).await
+        let (volume, view) = (volume.clone(), view.clone());
+        self.worker.perform(caller, Measure { volume, view }, token).await
     }
 
     /// Makes the final surface of a view for an export, and measures its error.
@@ -155,15 +171,12 @@ impl Extractor {
             start.elapsed()
         };
         let make = |measures| {
-            let (fitted, refining) = (&fitted, work.refining);
-            self.within_memory(move |ceiling| {
-                let making = Making {
-                    ceiling,
-                    measures,
-                    refining,
-                };
-                self.worker.extract_for(Caller::Request, volume, fitted, making, token)
-            })
+            let making = Making {
+                measures,
+                refining: work.refining,
+                ..Making::default()
+            };
+            self.make(Caller::Request, volume, &fitted, making, token)
         };
         let mut extraction = make(work.measuring == Measuring::Always).await?;
         extraction.wall += planning;
@@ -174,8 +187,9 @@ impl Extractor {
                     let again = make(true).await?;
                     return Ok(again.statistics(volume, "").error);
                 }
-                let caller = (Caller::Request, Caller::Request.long());
-                let measured = self.measure_for(caller, volume, &extraction.view, token).await?;
+                let measured = self
+                    .measure_for(Caller::Request, volume, &extraction.view, token)
+                    .await?;
                 Ok::<_, WorkError>(measured.map(|measurement| measurement.whole))
             };
             // The time-out drops the future, which cancels the job.
@@ -216,7 +230,11 @@ impl Extractor {
     ) -> Result<Fitted, WorkError> {
         let mut search = ByteSearch::new(budget);
         while let Some(trial) = search.next_trial(view, self.ceiling_triangles) {
-            let extraction = match self.make(caller, volume, &trial, token).await {
+            let making = Making {
+                measures: false,
+                ..Making::default()
+            };
+            let extraction = match self.make(caller, volume, &trial, making, token).await {
                 Ok(extraction) => extraction,
                 Err(error) => {
                     search.refuse(error)?;
@@ -239,21 +257,22 @@ impl Extractor {
         search.end()
     }
 
-    /// Makes the final surface of a view.
+    /// Makes the final surface of a view, within the server's limits too.
     async fn make(
         &self,
         caller: Caller,
         volume: &VolumeStep,
         view: &View,
+        making: Making,
         token: &CancellationToken,
     ) -> Result<Extraction, WorkError> {
         self.within_memory(|ceiling| {
-            let making = Making {
-                ceiling,
-                measures: false,
-                ..Making::default()
+            let request = Extract {
+                volume: volume.clone(),
+                view: view.clone(),
+                making: Making { ceiling, ..making },
             };
-            self.worker.extract_for(caller, volume, view, making, token)
+            self.worker.perform(caller, request, token)
         })
         .await
     }
@@ -271,7 +290,7 @@ impl Extractor {
         };
         match try_now().await {
             Err(WorkError::HostBusy { needed_bytes }) => {
-                self.worker.make_host_space(needed_bytes).await?;
+                self.worker.run_for_cache(MakeHostSpace { bytes: needed_bytes }).await?;
                 try_now().await
             }
             outcome => outcome,

@@ -1,14 +1,14 @@
 //! Histograms, made in slices of some milliseconds between other jobs: an edit waits for one slice at most, however large the volume is.
 //! Callers of the same histogram share the work. It pauses when all of them are gone, and the next caller continues it.
 
-use isopeel_extraction::{HistogramKey, JobContext, JobError, WorkError, Workspace};
-use isopeel_kernels::{Histogram, HistogramWork};
+use isopeel_extraction::{ContinueHistogram, HistogramKey, UseHistogramFields, WorkError};
+use isopeel_kernels::Histogram;
 use isopeel_view::FeatureName;
 use isopeel_volumes::VolumeStep;
 use tokio_util::sync::CancellationToken;
 
 use super::attempts::Retries;
-use super::scheduler::{Caller, Length};
+use super::scheduler::Caller;
 use super::worker::DeviceWorker;
 use crate::metrics;
 
@@ -50,17 +50,21 @@ impl DeviceWorker {
     async fn make_histogram(&self, volume: &VolumeStep, key: &HistogramKey) -> Result<Histogram, WorkError> {
         let never = CancellationToken::new();
         // Loads the histogram's fields first, so that each caller sees the progress of the loads.
-        let histogram_key = key.clone();
-        let require = move |workspace: &mut Workspace, volume: &VolumeStep, _: &mut JobContext<'_, Workspace>| {
-            workspace.use_histogram_fields(volume, &histogram_key)
+        let require = UseHistogramFields {
+            volume: volume.clone(),
+            key: key.clone(),
         };
-        self.run_with_retries(volume, &never, Caller::Viewer, Length::Short, require)
-            .await?;
+        self.perform(Caller::Viewer, require, &never).await?;
         let shared_work = self.shared.unfinished_histograms.get_or_begin(key);
         let mut work = shared_work.lock().await;
         let mut retries = Retries::default();
         loop {
-            match self.histogram_slice(volume, key, &work).await {
+            let slice = ContinueHistogram {
+                volume: volume.clone(),
+                key: key.clone(),
+                work: work.clone(),
+            };
+            match self.run_slice(Caller::Viewer, slice).await {
                 Ok((remaining, None)) => *work = remaining,
                 Ok((_, Some(histogram))) => {
                     self.shared.unfinished_histograms.remove(key);
@@ -69,20 +73,5 @@ impl DeviceWorker {
                 Err(error) => self.prepare_retry(volume, error, &mut retries, &never).await?,
             }
         }
-    }
-
-    /// Runs the next slice; returns the remaining work, and the histogram if it is complete.
-    async fn histogram_slice(
-        &self,
-        volume: &VolumeStep,
-        key: &HistogramKey,
-        work: &HistogramWork,
-    ) -> Result<(HistogramWork, Option<Histogram>), JobError> {
-        let (volume, key, mut work) = (volume.clone(), key.clone(), work.clone());
-        self.run_slice(Caller::Viewer, move |workspace| {
-            let histogram = workspace.continue_histogram(&volume, &key, &mut work)?;
-            Ok((work, histogram))
-        })
-        .await
     }
 }

@@ -4,14 +4,16 @@ use std::pin::Pin;
 use std::sync::Arc;
 
 use isopeel_extraction::{
-    HostMemory, JobContext, JobError, Piece, VolumeKey, WorkError, Workspace, bytes_while_read, padded_grid, read,
+    BeginUpload, Compute, ContinueTable, ContinueUpload, DropUpload, FindResident, FinishUpload, HostMemory,
+    MakeHostSpace, Piece, VolumeKey, WorkError, bytes_while_read, padded_grid, read,
 };
 use isopeel_kernels::RectilinearGrid;
 use isopeel_volumes::{ReadProgress, VolumeStep};
 use tokio::sync::mpsc;
 use tokio_util::sync::CancellationToken;
 
-use super::scheduler::{Caller, Length};
+use super::loading::FieldLoad;
+use super::scheduler::Caller;
 use super::worker::DeviceWorker;
 use crate::pool::ReadPool;
 
@@ -32,7 +34,7 @@ impl DeviceWorker {
         let _waiting = load.wait();
         let running = Arc::clone(&load.running).try_lock_owned();
         if running.is_ok() {
-            load.progress.restart();
+            load.restart();
         }
         if let Some(watch) = &self.watch {
             watch.load_requested(&key, &load.progress);
@@ -41,15 +43,15 @@ impl DeviceWorker {
             Ok(running) => running,
             Err(_) => {
                 let running = Arc::clone(&load.running).lock_owned().await;
-                load.progress.restart();
+                load.restart();
                 running
             }
         };
         let (worker, volume, task_key) = (self.clone(), volume.clone(), key.clone());
-        let progress = Arc::clone(&load.progress);
+        let task_load = Arc::clone(&load);
         let task = tokio::spawn(async move {
             let _running = running;
-            worker.load_locked(&volume, task_key, progress, Purpose::Now).await
+            worker.load_locked(&volume, task_key, &task_load, Purpose::Now).await
         });
         let outcome = task.await.unwrap_or(Err(WorkError::Stopped));
         if let (Ok(()), Some(watch)) = (&outcome, &self.watch) {
@@ -71,13 +73,13 @@ impl DeviceWorker {
         let Ok(running) = Arc::clone(&load.running).try_lock_owned() else {
             return Ok(());
         };
-        load.progress.restart();
+        load.restart();
         let (worker, volume, token) = (self.clone(), volume.clone(), token.clone());
         let task = tokio::spawn(async move {
             let _running = running;
             let waiting = load.wait();
             let purpose = Purpose::Ahead { budget };
-            let work = worker.load_locked(&volume, key, Arc::clone(&load.progress), purpose);
+            let work = worker.load_locked(&volume, key, &load, purpose);
             tokio::pin!(work);
             tokio::select! {
                 outcome = &mut work => return outcome,
@@ -94,24 +96,23 @@ impl DeviceWorker {
         &self,
         volume: &VolumeStep,
         key: VolumeKey,
-        progress: Arc<ReadProgress>,
+        load: &FieldLoad,
         purpose: Purpose,
     ) -> Result<(), WorkError> {
-        let resident_key = key.clone();
-        let is_resident = self.run_short(move |workspace| Ok(workspace.is_resident(&resident_key)));
-        if is_resident.await? {
+        let keys = vec![key.clone()];
+        if self.run_for_cache(FindResident { keys }).await? == [true] {
             return Ok(());
         }
         let is_computed = matches!(purpose, Purpose::Now) && key.is_computed(volume);
-        if is_computed && self.compute(volume, key.clone(), Arc::clone(&progress)).await? {
+        if is_computed && self.compute(volume, key.clone(), load.token()).await? {
             return Ok(());
         }
         let permits = Arc::clone(&self.shared.loads.permits);
         let _permit = permits.acquire_owned().await.map_err(|_| WorkError::Stopped)?;
-        match self.transfer(volume, &key, &progress, purpose).await {
+        match self.transfer(volume, &key, &load.progress, purpose).await {
             Err(WorkError::Unreadable(error)) if error.can_retry => {
-                progress.restart();
-                self.transfer(volume, &key, &progress, purpose).await
+                load.restart();
+                self.transfer(volume, &key, &load.progress, purpose).await
             }
             outcome => outcome,
         }
@@ -142,49 +143,39 @@ impl DeviceWorker {
             (Err(error), _) | (Ok(true), Err(error)) => Err(error),
         };
         if let Err(error) = loaded {
-            let dropped = self.run_short(move |workspace| {
-                workspace.drop_upload(&key);
-                Ok(())
-            });
-            dropped.await?;
+            self.run_for_cache(DropUpload { key }).await?;
             return Err(error);
         }
         let is_ahead = matches!(purpose, Purpose::Ahead { .. });
-        self.run_short(move |workspace| workspace.finish_upload(key, is_ahead))
-            .await
+        self.run_for_cache(FinishUpload { key, is_ahead }).await
     }
 
     /// Makes the table of minima and maxima of an uploaded field, in slices between other jobs.
     async fn make_table(&self, key: &VolumeKey) -> Result<(), WorkError> {
         loop {
-            let key = key.clone();
-            let slice = self.run_slice(Caller::Cache, move |workspace| workspace.continue_table(&key));
-            if slice.await? {
+            let slice = ContinueTable { key: key.clone() };
+            if self.run_slice(Caller::Cache, slice).await? {
                 return Ok(());
             }
         }
     }
 
     /// Computes a field on the device from others, which are loaded if they are not resident. The callers that wait have pinned them. If
-    /// all callers give up, `progress` is cancelled after a while, which ends the computation. Returns false if the host has to mask the
-    /// field.
+    /// all callers give up, `token` is cancelled after a while. Returns false if the host has to mask the field.
     fn compute<'a>(
         &'a self,
         volume: &'a VolumeStep,
         key: VolumeKey,
-        progress: Arc<ReadProgress>,
+        token: CancellationToken,
     ) -> Pin<Box<dyn Future<Output = Result<bool, WorkError>> + Send + 'a>> {
         // Boxed because the future is recursive.
         Box::pin(async move {
-            let (never, payer) = (CancellationToken::new(), self.payer.clone());
-            self.run_with_retries(
-                volume,
-                &never,
-                Caller::Cache,
-                Length::Field,
-                move |workspace, volume, context| workspace.compute(volume, &key, &progress, payer.as_ref(), context),
-            )
-            .await
+            let request = Compute {
+                volume: volume.clone(),
+                key,
+                user: self.user.clone(),
+            };
+            self.perform(Caller::Cache, request, &token).await
         })
     }
 
@@ -192,7 +183,7 @@ impl DeviceWorker {
     async fn admit(&self, volume: &VolumeStep, key: &VolumeKey, purpose: Purpose) -> Result<(), WorkError> {
         let needed = bytes_while_read(volume, key, self.ready().await?.kind)?;
         match purpose {
-            Purpose::Now => self.make_host_space(needed).await,
+            Purpose::Now => self.run_for_cache(MakeHostSpace { bytes: needed }).await,
             Purpose::Ahead { .. } => HostMemory::now().admit(needed),
         }
     }
@@ -205,41 +196,26 @@ impl DeviceWorker {
         mut pieces: mpsc::Receiver<Piece>,
         purpose: Purpose,
     ) -> Result<bool, WorkError> {
-        let mut first_for = Some(purpose);
+        let mut is_first = true;
         while let Some(Piece { samples, missing }) = pieces.recv().await {
-            let (key, grid, is_used) = (key.clone(), Arc::clone(&grid), self.is_open());
-            let first_for = first_for.take();
-            let upload = self.run_short(move |workspace| {
-                let sample_type = samples.sample_type();
-                let has_space = match first_for {
-                    None => true,
-                    Some(Purpose::Now) => {
-                        workspace.begin_upload(key.clone(), &grid, sample_type, missing)?;
-                        true
-                    }
-                    Some(Purpose::Ahead { budget }) => {
-                        workspace.begin_upload_ahead(&key, &grid, sample_type, missing, budget, &is_used)?
-                    }
+            if std::mem::take(&mut is_first) {
+                let begin = BeginUpload {
+                    key: key.clone(),
+                    grid: Arc::clone(&grid),
+                    sample_type: samples.sample_type(),
+                    missing,
+                    ahead: match purpose {
+                        Purpose::Now => None,
+                        Purpose::Ahead { budget } => Some(self.limits_ahead(budget)),
+                    },
                 };
-                if has_space {
-                    workspace.continue_upload(&key, &samples)?;
+                if !self.run_for_cache(begin).await? {
+                    return Ok(false);
                 }
-                Ok(has_space)
-            });
-            if !upload.await? {
-                return Ok(false);
             }
+            let key = key.clone();
+            self.run_for_cache(ContinueUpload { key, samples }).await?;
         }
         Ok(true)
-    }
-
-    /// Runs a short job, which is finished even if its caller is gone.
-    async fn run_short<T: Send + 'static>(
-        &self,
-        job: impl FnOnce(&mut Workspace) -> Result<T, JobError> + Send + 'static,
-    ) -> Result<T, WorkError> {
-        let never = CancellationToken::new();
-        let work = move |workspace: &mut Workspace, _: &mut JobContext<'_, Workspace>| job(workspace);
-        Ok(self.run(&never, Caller::Cache, Length::Short, work).await?)
     }
 }

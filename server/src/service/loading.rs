@@ -9,6 +9,7 @@ use isopeel_extraction::{ALWAYS_DESCRIBED, HistogramCache, HistogramKey, VolumeK
 use isopeel_view::{FeatureName, View};
 use isopeel_volumes::{Field, ReadProgress, VolumeStep};
 use tokio::sync::Semaphore;
+use tokio_util::sync::CancellationToken;
 
 use super::device_thread::Preparation;
 
@@ -55,6 +56,8 @@ pub(super) struct FieldLoad {
     pub running: Arc<tokio::sync::Mutex<()>>,
     /// Progress of the running load, or of the last one.
     pub progress: Arc<ReadProgress>,
+    /// Cancels the running load.
+    token: Mutex<CancellationToken>,
     /// Number of callers that wait for this load.
     waiting: AtomicUsize,
 }
@@ -67,6 +70,22 @@ impl FieldLoad {
     pub(super) fn wait(self: &Arc<Self>) -> Waiting {
         self.waiting.fetch_add(1, Ordering::Relaxed);
         Waiting(Arc::clone(self))
+    }
+
+    /// Begins the load, or begins it again: resets its progress and cancellation.
+    pub(super) fn restart(&self) {
+        self.progress.restart();
+        *lock(&self.token) = CancellationToken::new();
+    }
+
+    /// Returns the token of the running load.
+    pub(super) fn token(&self) -> CancellationToken {
+        lock(&self.token).clone()
+    }
+
+    fn cancel(&self) {
+        self.progress.cancel();
+        lock(&self.token).cancel();
     }
 
     fn is_awaited(&self) -> bool {
@@ -86,7 +105,7 @@ impl Drop for Waiting {
             runtime.spawn(async move {
                 tokio::time::sleep(LINGER).await;
                 if !load.is_awaited() {
-                    load.progress.cancel();
+                    load.cancel();
                 }
             });
         }

@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex};
 
-use isopeel_extraction::{VolumeKey, lock};
+use isopeel_extraction::lock;
 use isopeel_volumes::StepKey;
 use tokio::sync::Semaphore;
 
@@ -34,10 +34,9 @@ impl AheadState {
         OpenStepGuard(Some((Arc::clone(&self.open_steps), step.clone())))
     }
 
-    /// Returns a predicate: whether a viewer has the time step of a field open.
-    pub(super) fn is_open(&self) -> impl Fn(&VolumeKey) -> bool + Send + use<> {
-        let open_steps = Arc::clone(&self.open_steps);
-        move |key| lock(&open_steps).contains_key(&key.step)
+    /// Returns the time steps that viewers have open.
+    pub(super) fn open(&self) -> Vec<StepKey> {
+        lock(&self.open_steps).keys().cloned().collect()
     }
 }
 

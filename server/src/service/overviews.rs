@@ -2,14 +2,14 @@
 
 use std::sync::Arc;
 
-use isopeel_extraction::{JobContext, VolumeKey, WorkError, Workspace, lock};
+use isopeel_extraction::{ContinueOverview, UseField, VolumeKey, WorkError, lock};
 use isopeel_kernels::{Overview, OverviewMode};
 use isopeel_volumes::VolumeStep;
 use tokio_util::sync::CancellationToken;
 
 use super::attempts::Retries;
 use super::overview_cache::{OverviewKey, UnfinishedOverview};
-use super::scheduler::{Caller, Length};
+use super::scheduler::Caller;
 use super::worker::DeviceWorker;
 use crate::{metrics, pool};
 
@@ -59,20 +59,23 @@ impl DeviceWorker {
         unfinished: &Arc<UnfinishedOverview>,
     ) -> Result<(), WorkError> {
         let never = CancellationToken::new();
-        let field_key = key.clone();
-        let require = move |workspace: &mut Workspace, volume: &VolumeStep, _: &mut JobContext<'_, Workspace>| {
-            workspace.use_field(volume, &field_key)
+        let require = UseField {
+            volume: volume.clone(),
+            key: key.clone(),
         };
-        self.run_with_retries(volume, &never, Caller::Request, Length::Short, require)
-            .await?;
+        self.perform(Caller::Request, require, &never).await?;
         let mut retries = Retries::default();
         loop {
-            let (step, key, unfinished) = (volume.clone(), key.clone(), Arc::clone(unfinished));
-            let slice =
-                move |workspace: &mut Workspace| workspace.continue_overview(&step, &key, &mut lock(&unfinished.work));
+            let Some(part) = lock(&unfinished.work).next().cloned() else {
+                return Ok(());
+            };
+            let slice = ContinueOverview {
+                volume: volume.clone(),
+                key: key.clone(),
+                part,
+            };
             match self.run_slice(Caller::Request, slice).await {
-                Ok(true) => return Ok(()),
-                Ok(false) => {}
+                Ok(values) => lock(&unfinished.work).add(values),
                 Err(error) => self.prepare_retry(volume, error, &mut retries, &never).await?,
             }
         }

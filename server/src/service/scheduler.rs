@@ -102,35 +102,39 @@ impl Permits {
     }
 }
 
-/// A job that runs on the thread's state `S`.
-pub(super) struct Job<S> {
-    pub length: Length,
-    /// If it is cancelled, the job ends as soon as it runs.
-    pub token: CancellationToken,
-    pub run: Run<S>,
-}
+/// A job in the queue.
+pub(super) trait Job: Sized {
+    /// What jobs run on.
+    type State;
 
-impl<S> Job<S> {
+    /// Its name in the log.
+    fn name(&self) -> &'static str;
+
+    fn length(&self) -> Length;
+
+    /// Whether it ends as soon as it runs.
+    fn is_cancelled(&self) -> bool;
+
+    fn run(self, state: &mut Self::State, queue: &mut Queue<Self>);
+
     /// Whether the job may run while one of this length pauses. A cancelled job may too, because its viewer's next job waits for its end.
     fn may_run(&self, length: Length) -> bool {
-        self.length < length || self.token.is_cancelled()
+        self.length() < length || self.is_cancelled()
     }
 }
 
-pub(super) type Run<S> = Box<dyn FnOnce(&mut S, &mut Queue<S>) + Send>;
-
 /// The waiting jobs.
-pub(super) struct Queue<S> {
-    waiting: mpsc::Receiver<Job<S>>,
+pub(super) struct Queue<J: Job> {
+    waiting: mpsc::Receiver<J>,
     /// Jobs that were received in a pause of a job but have no higher priority than that job: an export, or a job of a viewer at rest.
     /// There are few, because [`Permits`] admits one such job of each length.
-    deferred: Vec<Job<S>>,
+    deferred: Vec<J>,
     /// Called after each job.
-    after: Box<dyn Fn(&S)>,
+    after: Box<dyn Fn(&J::State)>,
 }
 
-impl<S> Queue<S> {
-    pub(super) fn new(waiting: mpsc::Receiver<Job<S>>, after: impl Fn(&S) + 'static) -> Self {
+impl<J: Job> Queue<J> {
+    pub(super) fn new(waiting: mpsc::Receiver<J>, after: impl Fn(&J::State) + 'static) -> Self {
         Self {
             waiting,
             deferred: Vec::new(),
@@ -139,7 +143,7 @@ impl<S> Queue<S> {
     }
 
     /// Runs jobs until all senders are dropped. Calls `between` after each, except for jobs that run in a pause of another one.
-    pub(super) fn run(&mut self, state: &mut S, mut between: impl FnMut(&mut S, &mut Self)) {
+    pub(super) fn run(&mut self, state: &mut J::State, mut between: impl FnMut(&mut J::State, &mut Self)) {
         while let Some(job) = self.take_deferred(None).or_else(|| self.waiting.blocking_recv()) {
             self.run_job(state, job);
             between(state, self);
@@ -154,10 +158,10 @@ impl<S> Queue<S> {
     }
 
     /// Takes the deferred job with the shortest length. If a job of length `pausing` pauses, only jobs that may run then are taken.
-    fn take_deferred(&mut self, pausing: Option<Length>) -> Option<Job<S>> {
+    fn take_deferred(&mut self, pausing: Option<Length>) -> Option<J> {
         let jobs = self.deferred.iter().enumerate();
         let ready = jobs.filter(|(_, job)| pausing.is_none_or(|length| job.may_run(length)));
-        let (at, _) = ready.min_by_key(|(_, job)| job.length)?;
+        let (at, _) = ready.min_by_key(|(_, job)| job.length())?;
         Some(self.deferred.swap_remove(at))
     }
 
@@ -167,7 +171,7 @@ impl<S> Queue<S> {
     }
 
     /// Runs the queued jobs that come before one of this length, and defers the others: viewers have one job each, so each gets a turn.
-    fn run_waiting(&mut self, state: &mut S, length: Length) {
+    fn run_waiting(&mut self, state: &mut J::State, length: Length) {
         for _ in 0..self.waiting.len() {
             match self.waiting.try_recv() {
                 Ok(job) if job.may_run(length) => self.run_job(state, job),
@@ -180,28 +184,29 @@ impl<S> Queue<S> {
         }
     }
 
-    fn run_job(&mut self, state: &mut S, job: Job<S>) {
+    fn run_job(&mut self, state: &mut J::State, job: J) {
+        let name = job.name();
         // A panic ends the job, not the thread: the workspace has no partial updates.
-        let run = std::panic::AssertUnwindSafe(|| (job.run)(state, self));
+        let run = std::panic::AssertUnwindSafe(|| job.run(state, self));
         if std::panic::catch_unwind(run).is_err() {
-            tracing::error!("a job panicked on the device thread");
+            tracing::error!(job = name, "a job panicked on the device thread");
         }
         (self.after)(state);
     }
 }
 
 /// The queue during a pause of a job of this length: it runs the jobs of higher priority.
-pub(super) struct PausedQueue<'a, S> {
-    pub queue: &'a mut Queue<S>,
+pub(super) struct PausedQueue<'a, J: Job> {
+    pub queue: &'a mut Queue<J>,
     pub length: Length,
 }
 
-impl<S> WaitingWork<S> for PausedQueue<'_, S> {
+impl<J: Job> WaitingWork<J::State> for PausedQueue<'_, J> {
     fn is_waiting(&self) -> bool {
         self.queue.has_waiting(self.length)
     }
 
-    fn run(&mut self, state: &mut S) {
+    fn run(&mut self, state: &mut J::State) {
         self.queue.run_waiting(state, self.length);
     }
 }
@@ -228,8 +233,35 @@ mod tests {
     /// Log of the jobs that ran, in order.
     type Log = Vec<String>;
 
+    /// A job that runs a closure.
+    struct Scripted {
+        length: Length,
+        token: CancellationToken,
+        run: Box<dyn FnOnce(&mut Log, &mut Queue<Scripted>) + Send>,
+    }
+
+    impl Job for Scripted {
+        type State = Log;
+
+        fn name(&self) -> &'static str {
+            "scripted"
+        }
+
+        fn length(&self) -> Length {
+            self.length
+        }
+
+        fn is_cancelled(&self) -> bool {
+            self.token.is_cancelled()
+        }
+
+        fn run(self, log: &mut Log, queue: &mut Queue<Self>) {
+            (self.run)(log, queue);
+        }
+    }
+
     /// A queue that ends when these jobs, and those that they queue, are done.
-    fn run(jobs: impl FnOnce(&mpsc::Sender<Job<Log>>)) -> Log {
+    fn run(jobs: impl FnOnce(&mpsc::Sender<Scripted>)) -> Log {
         let (sender, waiting) = mpsc::channel(8);
         jobs(&sender);
         drop(sender);
@@ -239,30 +271,30 @@ mod tests {
     }
 
     fn queue(
-        to: &mpsc::Sender<Job<Log>>,
+        to: &mpsc::Sender<Scripted>,
         length: Length,
-        run: impl FnOnce(&mut Log, &mut Queue<Log>) + Send + 'static,
+        run: impl FnOnce(&mut Log, &mut Queue<Scripted>) + Send + 'static,
     ) {
         queue_with(to, length, CancellationToken::new(), run);
     }
 
     fn queue_with(
-        to: &mpsc::Sender<Job<Log>>,
+        to: &mpsc::Sender<Scripted>,
         length: Length,
         token: CancellationToken,
-        run: impl FnOnce(&mut Log, &mut Queue<Log>) + Send + 'static,
+        run: impl FnOnce(&mut Log, &mut Queue<Scripted>) + Send + 'static,
     ) {
         let run = Box::new(run);
-        let job = Job { length, token, run };
+        let job = Scripted { length, token, run };
         assert!(to.try_send(job).is_ok(), "space in the queue");
     }
 
-    fn say(to: &mpsc::Sender<Job<Log>>, length: Length, what: &'static str) {
+    fn say(to: &mpsc::Sender<Scripted>, length: Length, what: &'static str) {
         queue(to, length, move |log, _| log.push(what.into()));
     }
 
     /// A job that pauses twice, unless it is cancelled, and then says what it found.
-    fn pausing(log: &mut Log, queue: &mut Queue<Log>, token: CancellationToken, length: Length) {
+    fn pausing(log: &mut Log, queue: &mut Queue<Scripted>, token: CancellationToken, length: Length) {
         let (cancel, mut waiting) = (Token(&token), PausedQueue { queue, length });
         let mut context = JobContext::long(&cancel, &mut waiting);
         let ended = context.run(log, &Vec::new, &JobTimes::default(), |cancel| {

@@ -1,11 +1,11 @@
 //! Reads samples of a field back from the device: all of them, or a plane.
 
-use isopeel_extraction::{JobContext, Slice, VolumeKey, WorkError, Workspace};
+use isopeel_extraction::{MakeHostSpace, ReadSamples, ReadSlice, Slice, VolumeKey, WorkError};
 use isopeel_kernels::{SampleType, Samples};
 use isopeel_volumes::VolumeStep;
 use tokio_util::sync::CancellationToken;
 
-use super::scheduler::{Caller, Length};
+use super::scheduler::Caller;
 use super::worker::DeviceWorker;
 
 /// Approximate number of samples that one job copies. Other jobs may run between two copies.
@@ -28,16 +28,16 @@ impl DeviceWorker {
         let field_info = volume.dataset().field(field);
         let sample_type = field_info.map_or(SampleType::F32, |field| field.sample_type);
         let bytes = plane_samples * u64::from(depth) * sample_type.bytes() as u64;
-        self.make_host_space(bytes).await?;
+        self.run_for_cache(MakeHostSpace { bytes }).await?;
         let piece_planes = (SAMPLES_PER_COPY / plane_samples).clamp(1, depth.into()) as u32;
         let mut pieces = Vec::new();
         for first in (0..depth).step_by(piece_planes as usize) {
-            let key = VolumeKey::new(volume, field, false);
-            let job = move |workspace: &mut Workspace, volume: &VolumeStep, _: &mut JobContext<'_, Workspace>| {
-                workspace.samples(volume, &key, first..depth.min(first + piece_planes))
+            let request = ReadSamples {
+                volume: volume.clone(),
+                key: VolumeKey::new(volume, field, false),
+                planes: first..depth.min(first + piece_planes),
             };
-            let piece = self.run_with_retries(volume, token, Caller::Request, Length::Short, job);
-            pieces.push(piece.await?);
+            pieces.push(self.perform(Caller::Request, request, token).await?);
         }
         Ok((pieces, piece_planes))
     }
@@ -48,12 +48,12 @@ impl DeviceWorker {
     /// # Errors
     /// [`WorkError`].
     pub async fn slice(&self, volume: &VolumeStep, field: &str, axis: usize, index: u32) -> Result<Slice, WorkError> {
-        let key = VolumeKey::new(volume, field, false);
-        let job = move |workspace: &mut Workspace, volume: &VolumeStep, _: &mut JobContext<'_, Workspace>| {
-            workspace.slice(volume, &key, axis, index)
+        let request = ReadSlice {
+            volume: volume.clone(),
+            key: VolumeKey::new(volume, field, false),
+            axis,
+            index,
         };
-        let never = CancellationToken::new();
-        self.run_with_retries(volume, &never, Caller::Request, Length::Short, job)
-            .await
+        self.perform(Caller::Request, request, &CancellationToken::new()).await
     }
 }

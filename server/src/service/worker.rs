@@ -13,7 +13,8 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use isopeel_extraction::{
-    EngineId, HistogramCache, JobContext, JobError, Payer, UserTimes, VolumeKey, WorkError, Workspace, WorkspaceMemory,
+    CheckAnswers, DeviceReply, DeviceRequest, EngineId, FindResident, HistogramCache, JobError, Request, UserTimes,
+    VolumeKey, WorkError, WorkspaceMemory,
 };
 use isopeel_kernels::{DeviceInfo, Error};
 use isopeel_view::View;
@@ -22,14 +23,14 @@ use tokio::sync::{Semaphore, mpsc, oneshot, watch};
 use tokio_util::sync::CancellationToken;
 
 use super::device_thread::{DeviceOptions, DeviceState, DeviceThread, Preparation};
+use super::job::{DeviceJob, length_of};
 use super::loading::{FieldWork, Loads, OpeningWatch};
 use super::open_steps::AheadState;
 use super::overview_cache::Overviews;
 use super::pins::WaitingPins;
-use super::scheduler::{Caller, Job, Length, PausedQueue, Permits, Queue, Token, job_labels};
+use super::scheduler::{Caller, Length, Permits, job_labels};
 use super::unfinished::UnfinishedHistograms;
 use crate::device::Proven;
-use crate::metrics;
 
 /// Maximum number of waiting jobs: some 3 s of work, at 50 ms for a typical prefix. If the queue is full, requests are refused as busy, and
 /// viewers wait.
@@ -54,12 +55,12 @@ pub struct DeviceWorker {
     /// Observes the progress of this handle's jobs while a volume is opened.
     pub(super) watch: Option<Arc<OpeningWatch>>,
     /// The user who is charged for computing fields with this handle.
-    pub(super) payer: Option<Payer>,
+    pub(super) user: Option<Arc<str>>,
 }
 
 pub(super) struct Shared {
     /// `None` once the last handle is being dropped.
-    pub jobs: Option<mpsc::Sender<Job<Workspace>>>,
+    pub jobs: Option<mpsc::Sender<DeviceJob>>,
     state: watch::Receiver<DeviceState>,
     pub memory: watch::Receiver<WorkspaceMemory>,
     /// Number of the engine, set by the thread.
@@ -71,7 +72,6 @@ pub(super) struct Shared {
     slice_permit: Semaphore,
     /// Time of the last successful probe. Locked during a probe, so that other callers wait for its result.
     last_probe: tokio::sync::Mutex<Option<Instant>>,
-    user_times: Arc<UserTimes>,
     pub loads: Loads,
     pub ahead: AheadState,
     permits: Permits,
@@ -117,7 +117,7 @@ impl DeviceWorker {
             request_time,
             user_time,
         } = options;
-        let (jobs, job_receiver) = mpsc::channel::<Job<Workspace>>(QUEUED_JOBS);
+        let (jobs, job_receiver) = mpsc::channel(QUEUED_JOBS);
         let (state, state_receiver) = watch::channel(DeviceState::Opening(Preparation::default()));
         let (memory, memory_receiver) = watch::channel(WorkspaceMemory::default());
         let histograms = HistogramCache::default();
@@ -129,6 +129,7 @@ impl DeviceWorker {
             retries_opening,
             surface_bytes,
             request_time,
+            user_times: UserTimes::new(user_time),
             state: Arc::new(state),
             memory,
             engine: Arc::clone(&engine),
@@ -151,7 +152,6 @@ impl DeviceWorker {
                 overviews: Overviews::default(),
                 slice_permit: Semaphore::new(1),
                 last_probe: tokio::sync::Mutex::default(),
-                user_times: UserTimes::new(user_time),
                 loads: Loads::new(),
                 ahead: AheadState::new(),
                 permits: Permits::new(VIEWER_JOBS),
@@ -160,7 +160,7 @@ impl DeviceWorker {
                 thread: Some(thread),
             }),
             watch: None,
-            payer: None,
+            user: None,
         })
     }
 
@@ -168,7 +168,7 @@ impl DeviceWorker {
     #[must_use]
     pub fn charged_to(&self, user: Option<&str>) -> Self {
         Self {
-            payer: user.map(|user| Payer::new(&self.shared.user_times, user)),
+            user: user.map(Arc::from),
             ..self.clone()
         }
     }
@@ -206,11 +206,8 @@ impl DeviceWorker {
                 return true;
             }
             let never = CancellationToken::new();
-            let job = self.run(&never, Caller::Viewer, Length::Short, |workspace, _| {
-                Ok(workspace.engine().answers())
-            });
             // A probe that fails counts as an answer: such errors are visible in the device's state.
-            let answers = job.await.unwrap_or(true);
+            let answers = self.run(Caller::Viewer, CheckAnswers, &never).await.unwrap_or(true);
             *last = answers.then(Instant::now);
             answers
         };
@@ -267,9 +264,7 @@ impl DeviceWorker {
             .map(|f| VolumeKey::new(volume, &f.name, false))
             .collect();
         let never = CancellationToken::new();
-        let resident = self.run(&never, Caller::Viewer, Length::Short, move |workspace, _| {
-            Ok(keys.iter().map(|key| workspace.is_resident(key)).collect::<Vec<_>>())
-        });
+        let resident = self.run(Caller::Viewer, FindResident { keys }, &never);
         let fields = volume.dataset().fields.iter().zip(resident.await?);
         let histograms = &self.shared.histograms;
         let work = fields
@@ -283,20 +278,29 @@ impl DeviceWorker {
         Ok((worker, watch))
     }
 
-    /// Queues a job and waits for its end. A cancelled job stays in the queue until the thread takes it, and its caller waits for that too,
-    /// so a caller never has two jobs in the queue. The exception is a job of [`Length::Rest`]: its caller returns as soon as the job is
+    /// Queues a request and waits for its reply. A cancelled job stays in the queue until the thread takes it, and its caller waits for that
+    /// too, so a caller never has two jobs in the queue. The exception is a job of [`Length::Rest`]: its caller returns as soon as the job is
     /// cancelled, because an export may run to its end while the job pauses. At most one such job exists.
-    pub(super) async fn run<T, F>(
+    pub(super) async fn run<R: Request>(
         &self,
-        token: &CancellationToken,
         caller: Caller,
+        request: R,
+        token: &CancellationToken,
+    ) -> Result<R::Reply, JobError> {
+        let request = request.into();
+        let length = length_of(&request, caller);
+        let reply = self.run_as(length, caller, request, token).await?;
+        R::take_reply(reply).ok_or_else(|| WorkError::Stopped.into())
+    }
+
+    /// As [`DeviceWorker::run`], as a job of this length.
+    pub(super) async fn run_as(
+        &self,
         length: Length,
-        job: F,
-    ) -> Result<T, JobError>
-    where
-        T: Send + 'static,
-        F: FnOnce(&mut Workspace, &mut JobContext<'_, Workspace>) -> Result<T, JobError> + Send + 'static,
-    {
+        caller: Caller,
+        request: DeviceRequest,
+        token: &CancellationToken,
+    ) -> Result<DeviceReply, JobError> {
         if matches!(self.state(), DeviceState::Lost | DeviceState::NeedsNewProcess) {
             return Err(WorkError::Reopening.into());
         }
@@ -304,32 +308,34 @@ impl DeviceWorker {
             permit = self.shared.permits.wait(caller, length) => permit,
             () = token.cancelled() => return Err(WorkError::Cancelled.into()),
         };
-        let (sender, outcome) = oneshot::channel();
+        let (reply, outcome) = oneshot::channel();
         let token = token.child_token();
         // Cancels the job if its caller is gone.
         let _guard = (caller != Caller::Cache).then(|| token.clone().drop_guard());
-        // Log entries of the job on the thread belong to the caller's span.
-        let span = tracing::Span::current();
-        let (labels, queued) = (job_labels(caller, length), Instant::now());
-        let job_token = token.clone();
-        let run = Box::new(move |workspace: &mut Workspace, queue: &mut Queue<Workspace>| {
-            let (_permit, _span, begun) = (permit, span.entered(), Instant::now());
-            metrics::job_begun(labels, begun - queued);
-            let outcome = run_on_thread(workspace, queue, length, &job_token, job);
-            metrics::job_ended(labels, begun.elapsed());
-            // Sending fails if the caller is gone, which is no error.
-            let _ = sender.send(outcome);
-        });
-        let cancelled = token.clone();
-        self.send(caller, Job { length, token, run }).await?;
+        let job = DeviceJob {
+            request,
+            length,
+            token: token.clone(),
+            reply,
+            permit,
+            span: tracing::Span::current(),
+            labels: job_labels(caller, length),
+            queued: Instant::now(),
+        };
+        self.send(caller, job).await?;
         tokio::select! {
             outcome = outcome => outcome.unwrap_or_else(|_| Err(self.stop_error().into())),
-            () = cancelled.cancelled(), if length == Length::Rest => Err(WorkError::Cancelled.into()),
+            () = token.cancelled(), if length == Length::Rest => Err(WorkError::Cancelled.into()),
         }
     }
 
+    /// Runs a request that uses no volume and is finished even if its caller is gone.
+    pub(super) async fn run_for_cache<R: Request>(&self, request: R) -> Result<R::Reply, WorkError> {
+        Ok(self.run(Caller::Cache, request, &CancellationToken::new()).await?)
+    }
+
     /// Puts a job into the queue. If the queue is full, refuses a job of a request, and waits with others.
-    async fn send(&self, caller: Caller, job: Job<Workspace>) -> Result<(), WorkError> {
+    async fn send(&self, caller: Caller, job: DeviceJob) -> Result<(), WorkError> {
         let jobs = self.shared.jobs.as_ref().ok_or(WorkError::Stopped)?;
         match caller {
             Caller::Request => jobs.try_send(job).map_err(|refused| match refused {
@@ -340,61 +346,35 @@ impl DeviceWorker {
         }
     }
 
-    /// As [`DeviceWorker::run`], but if a program of the job is still being checked, waits for that check and retries. Other jobs use the
-    /// device meanwhile.
-    pub(super) async fn run_when_proven<T, F>(
-        &self,
-        token: &CancellationToken,
-        caller: Caller,
-        length: Length,
-        job: F,
-    ) -> Result<T, JobError>
-    where
-        T: Send + 'static,
-        F: FnOnce(&mut Workspace, &mut JobContext<'_, Workspace>) -> Result<T, JobError> + Clone + Send + 'static,
-    {
-        loop {
-            let outcome = self.run(token, caller, length, job.clone()).await;
-            let Some((program, proven)) = self.unproven(&outcome) else {
-                return outcome;
-            };
-            tracing::debug!(program, "a job waits for the check of a program");
-            tokio::select! {
-                () = proven.settled(&program) => (),
-                () = token.cancelled() => return Err(WorkError::Cancelled.into()),
-            }
-        }
-    }
-
-    /// Runs a slice of work on a whole volume. Callers take turns: only one slice is queued at a time. If a program is still being checked,
-    /// releases the permit, waits for the check and retries.
-    pub(super) async fn run_slice<T, F>(&self, caller: Caller, job: F) -> Result<T, JobError>
-    where
-        T: Send + 'static,
-        F: FnOnce(&mut Workspace) -> Result<T, JobError> + Clone + Send + 'static,
-    {
+    /// Runs a slice of work on a whole volume. Callers take turns: only one slice is queued at a time.
+    pub(super) async fn run_slice<R: Request + Clone>(&self, caller: Caller, request: R) -> Result<R::Reply, JobError> {
         let never = CancellationToken::new();
         loop {
             let permit = self.shared.slice_permit.acquire().await;
-            let job = job.clone();
-            let outcome = self
-                .run(&never, caller, Length::Short, move |workspace, _| job(workspace))
-                .await;
+            let outcome = self.run(caller, request.clone(), &never).await;
             drop(permit);
-            match self.unproven(&outcome) {
-                Some((program, proven)) => proven.settled(&program).await,
-                None => return outcome,
+            match outcome {
+                Err(error) => self.wait_until_proven(error, &never).await?,
+                outcome => return outcome,
             }
         }
     }
 
-    /// If a job failed because a program that it needs is still being checked, returns the program and the state of the check.
-    fn unproven<T>(&self, outcome: &Result<T, JobError>) -> Option<(String, Arc<Proven>)> {
-        match outcome {
-            Err(JobError::Failed(WorkError::Device(Error::NotYet(program)))) => {
-                Some((program.clone(), Arc::clone(self.shared.proven.get()?)))
-            }
-            _ => None,
+    /// If a job failed because a program that it needs is still being checked, waits for that check. Other jobs use the device meanwhile.
+    ///
+    /// # Errors
+    /// The failure, if it has another cause.
+    pub(super) async fn wait_until_proven(&self, error: JobError, token: &CancellationToken) -> Result<(), JobError> {
+        let JobError::Failed(WorkError::Device(Error::NotYet(program))) = &error else {
+            return Err(error);
+        };
+        let Some(proven) = self.shared.proven.get() else {
+            return Err(error);
+        };
+        tracing::debug!(program, "a job waits for the check of a program");
+        tokio::select! {
+            () = proven.settled(program) => Ok(()),
+            () = token.cancelled() => Err(WorkError::Cancelled.into()),
         }
     }
 
@@ -406,23 +386,4 @@ impl DeviceWorker {
             DeviceState::Opening(_) | DeviceState::Ready(_) => WorkError::Stopped,
         }
     }
-}
-
-/// Runs a job on the device's thread, unless it was cancelled. A long job pauses for jobs of higher priority.
-fn run_on_thread<T>(
-    workspace: &mut Workspace,
-    queue: &mut Queue<Workspace>,
-    length: Length,
-    token: &CancellationToken,
-    job: impl FnOnce(&mut Workspace, &mut JobContext<'_, Workspace>) -> Result<T, JobError>,
-) -> Result<T, JobError> {
-    if token.is_cancelled() {
-        return Err(WorkError::Cancelled.into());
-    }
-    let (cancel, mut waiting) = (Token(token), PausedQueue { queue, length });
-    let mut context = match length {
-        Length::Short => JobContext::short(&cancel),
-        Length::Long | Length::Field | Length::Export | Length::Rest => JobContext::long(&cancel, &mut waiting),
-    };
-    job(workspace, &mut context).map_err(|error| workspace.look_for_loss(error))
 }

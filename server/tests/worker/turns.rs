@@ -111,8 +111,8 @@ impl TwoViewers {
         };
         let token = CancellationToken::new();
         let TwoViewers { worker, volume, view } = &viewers;
-        worker
-            .refine(volume, view, WHOLE, u64::MAX, &token)
+        Extractor::new(worker.clone(), u64::MAX)
+            .refine(volume, view, WHOLE, &token)
             .await
             .expect("a surface");
         viewers
@@ -142,6 +142,7 @@ async fn others_use_the_device_while_a_tree_is_built() {
     let _alone = ALONE.lock().await;
     let viewers = TwoViewers::start().await;
     let TwoViewers { worker, volume, view } = &viewers;
+    let extractor = Extractor::new(worker.clone(), u64::MAX);
     let token = CancellationToken::new();
     let jobs = AtomicUsize::new(0);
     let others = async {
@@ -151,7 +152,7 @@ async fn others_use_the_device_while_a_tree_is_built() {
         }
     };
     let improved = tokio::select! {
-        improved = worker.improve(volume, view, u64::MAX, &token) => improved.expect("improves").expect("a tree"),
+        improved = extractor.improve(volume, view, &token) => improved.expect("improves").expect("a tree"),
         () = others => unreachable!("there is no end of others"),
     };
     let jobs = jobs.into_inner();
@@ -171,6 +172,7 @@ async fn a_tree_that_nobody_waits_for_leaves_no_memory() {
     let _alone = ALONE.lock().await;
     let viewers = TwoViewers::start().await;
     let TwoViewers { worker, volume, view } = &viewers;
+    let extractor = Extractor::new(worker.clone(), u64::MAX);
     let before = viewers.in_use().await;
     let some_jobs = || async {
         for _ in 0..5 {
@@ -184,21 +186,21 @@ async fn a_tree_that_nobody_waits_for_leaves_no_memory() {
         some_jobs().await;
         token.cancel();
     };
-    let (improved, ()) = tokio::join!(worker.improve(volume, view, u64::MAX, &token), edit);
+    let (improved, ()) = tokio::join!(extractor.improve(volume, view, &token), edit);
     assert!(matches!(improved, Err(WorkError::Cancelled)));
     assert_eq!(viewers.in_use().await, before, "after an edit");
 
     // The viewer leaves.
     let token = CancellationToken::new();
     tokio::select! {
-        improved = worker.improve(volume, view, u64::MAX, &token) => panic!("{improved:?} after a few jobs"),
+        improved = extractor.improve(volume, view, &token) => panic!("{improved:?} after a few jobs"),
         () = some_jobs() => {}
     }
     assert_eq!(viewers.in_use().await, before, "after the viewer left");
 
     // The next one is not held up.
     let token = CancellationToken::new();
-    let improved = worker.improve(volume, view, u64::MAX, &token).await;
+    let improved = extractor.improve(volume, view, &token).await;
     assert!(improved.expect("improves").is_some());
     assert!(viewers.in_use().await > before, "the tree is kept");
 }

@@ -8,13 +8,13 @@ use isopeel_reference::overview::{Mode, overview};
 /// The overview and the number of its launches.
 fn made(engine: &Engine, volume: &Volume, mode: OverviewMode, side: u32) -> (Overview, usize) {
     let mut work = OverviewWork::new(volume.grid().dims, mode, side);
-    for launches in 0.. {
-        if let Some(overview) = work.complete() {
-            return (overview, launches);
-        }
-        engine.continue_overview(volume, &mut work).expect("a part");
+    let mut launches = 0;
+    while let Some(part) = work.next() {
+        assert!(work.complete().is_none(), "a part is missing");
+        work.add(engine.overview_values(volume, part).expect("a part"));
+        launches += 1;
     }
-    unreachable!("more launches than there are numbers");
+    (work.complete().expect("complete"), launches)
 }
 
 fn check(engine: &Engine, loaded: &Loaded, side: u32) -> Result<(), TestCaseError> {
@@ -133,9 +133,8 @@ fn values_that_rounding_alone_tells_apart_are_equal() {
 fn a_volume_of_another_size_is_refused() {
     let Some(engine) = device() else { return };
     let loaded = load(&engine, &Recipe::plain([5, 6, 7], Pattern::Noise, 1));
-    let mut work = OverviewWork::new([5, 6, 8], OverviewMode::Mean, 9);
-    let error = engine
-        .continue_overview(&loaded.volume, &mut work)
-        .expect_err("another size");
+    let work = OverviewWork::new([5, 6, 8], OverviewMode::Mean, 9);
+    let part = work.next().expect("a first part");
+    let error = engine.overview_values(&loaded.volume, part).expect_err("another size");
     assert!(error.to_string().contains("[5, 6, 7]"), "{error}");
 }

@@ -1,0 +1,197 @@
+//! Requests about fields on the device and the memory that they take.
+
+use std::sync::Arc;
+
+use isopeel_kernels::{RectilinearGrid, SampleType, Samples};
+use isopeel_volumes::{StepKey, VolumeStep};
+
+use crate::context::JobContext;
+use crate::grids::padded_grid;
+use crate::job_error::JobError;
+use crate::keys::VolumeKey;
+use crate::workspace::Workspace;
+
+type Context<'a, 'b> = &'a mut JobContext<'b, Workspace>;
+
+/// Asks which fields are resident.
+pub struct FindResident {
+    /// The fields.
+    pub keys: Vec<VolumeKey>,
+}
+
+/// Marks a field as used. See [`Workspace::use_field`].
+#[derive(Clone)]
+pub struct UseField {
+    /// The volume.
+    pub volume: VolumeStep,
+    /// The field.
+    pub key: VolumeKey,
+}
+
+/// Computes a field from others. See [`Workspace::compute`].
+#[derive(Clone)]
+pub struct Compute {
+    /// The volume.
+    pub volume: VolumeStep,
+    /// The field.
+    pub key: VolumeKey,
+    /// The user who is charged for the device time; `None`: nobody.
+    pub user: Option<Arc<str>>,
+}
+
+/// Limits of a field that is read ahead.
+#[derive(Clone)]
+pub struct ReadAhead {
+    /// Maximum bytes of all fields that were read ahead and are not used yet.
+    pub budget: u64,
+    /// Time steps that viewers have open: their fields are not evicted.
+    pub open: Vec<StepKey>,
+}
+
+/// Begins the upload of a field. The reply says whether there is space for it: always, unless it is read ahead. See
+/// [`Workspace::begin_upload`] and [`Workspace::begin_upload_ahead`].
+pub struct BeginUpload {
+    /// The field.
+    pub key: VolumeKey,
+    /// Its grid.
+    pub grid: Arc<RectilinearGrid>,
+    /// Type of its samples.
+    pub sample_type: SampleType,
+    /// Value of missing samples.
+    pub missing: Option<f32>,
+    /// `Some`: the field is read ahead.
+    pub ahead: Option<ReadAhead>,
+}
+
+/// Sends the next samples of a field. See [`Workspace::continue_upload`].
+pub struct ContinueUpload {
+    /// The field.
+    pub key: VolumeKey,
+    /// The samples.
+    pub samples: Samples,
+}
+
+/// Makes the next part of a field's table of minima and maxima. See [`Workspace::continue_table`].
+#[derive(Clone)]
+pub struct ContinueTable {
+    /// The field.
+    pub key: VolumeKey,
+}
+
+/// Makes an uploaded field resident. See [`Workspace::finish_upload`].
+pub struct FinishUpload {
+    /// The field.
+    pub key: VolumeKey,
+    /// Whether it was read ahead.
+    pub is_ahead: bool,
+}
+
+/// Frees the partial upload of a field. See [`Workspace::drop_upload`].
+pub struct DropUpload {
+    /// The field.
+    pub key: VolumeKey,
+}
+
+/// Makes space for a field that is to be read ahead. The reply is false if the field is resident already, or if there is no space. See
+/// [`Workspace::make_space_ahead`].
+pub struct MakeSpaceAhead {
+    /// The volume.
+    pub volume: VolumeStep,
+    /// The field.
+    pub key: VolumeKey,
+    /// Its limits.
+    pub ahead: ReadAhead,
+}
+
+/// Makes sure that the host has this much memory. See [`Workspace::make_host_space`].
+pub struct MakeHostSpace {
+    /// Bytes.
+    pub bytes: u64,
+}
+
+/// Frees the data of a time step. See [`Workspace::release`].
+pub struct Release {
+    /// The step.
+    pub step: StepKey,
+}
+
+impl FindResident {
+    pub(super) fn work(self, workspace: &mut Workspace, _: Context<'_, '_>) -> Result<Vec<bool>, JobError> {
+        Ok(self.keys.iter().map(|key| workspace.is_resident(key)).collect())
+    }
+}
+
+impl UseField {
+    pub(super) fn work(self, workspace: &mut Workspace, _: Context<'_, '_>) -> Result<(), JobError> {
+        workspace.use_field(&self.volume, &self.key)
+    }
+}
+
+impl Compute {
+    pub(super) fn work(self, workspace: &mut Workspace, context: Context<'_, '_>) -> Result<bool, JobError> {
+        workspace.compute(&self.volume, &self.key, self.user.as_deref(), context)
+    }
+}
+
+impl BeginUpload {
+    pub(super) fn work(self, workspace: &mut Workspace, _: Context<'_, '_>) -> Result<bool, JobError> {
+        let Self {
+            key,
+            grid,
+            sample_type,
+            missing,
+            ahead,
+        } = self;
+        match ahead {
+            Some(ahead) => workspace.begin_upload_ahead(&key, &grid, sample_type, missing, &ahead),
+            None => workspace.begin_upload(key, &grid, sample_type, missing).map(|()| true),
+        }
+    }
+}
+
+impl ContinueUpload {
+    pub(super) fn work(self, workspace: &mut Workspace, _: Context<'_, '_>) -> Result<(), JobError> {
+        workspace.continue_upload(&self.key, &self.samples)
+    }
+}
+
+impl ContinueTable {
+    pub(super) fn work(self, workspace: &mut Workspace, _: Context<'_, '_>) -> Result<bool, JobError> {
+        workspace.continue_table(&self.key)
+    }
+}
+
+impl FinishUpload {
+    pub(super) fn work(self, workspace: &mut Workspace, _: Context<'_, '_>) -> Result<(), JobError> {
+        workspace.finish_upload(self.key, self.is_ahead)
+    }
+}
+
+impl DropUpload {
+    pub(super) fn work(self, workspace: &mut Workspace, _: Context<'_, '_>) -> Result<(), JobError> {
+        workspace.drop_upload(&self.key);
+        Ok(())
+    }
+}
+
+impl MakeSpaceAhead {
+    pub(super) fn work(self, workspace: &mut Workspace, _: Context<'_, '_>) -> Result<bool, JobError> {
+        let grid = padded_grid(&self.volume, self.key.padded)?;
+        let sample_bytes = self.key.sample_bytes(&self.volume)?;
+        let bytes = workspace.engine().upload_bytes(grid.grid(), sample_bytes);
+        Ok(!workspace.is_resident(&self.key) && workspace.make_space_ahead(bytes, &self.ahead))
+    }
+}
+
+impl MakeHostSpace {
+    pub(super) fn work(self, workspace: &mut Workspace, _: Context<'_, '_>) -> Result<(), JobError> {
+        Ok(workspace.make_host_space(self.bytes)?)
+    }
+}
+
+impl Release {
+    pub(super) fn work(self, workspace: &mut Workspace, _: Context<'_, '_>) -> Result<(), JobError> {
+        workspace.release(&self.step);
+        Ok(())
+    }
+}

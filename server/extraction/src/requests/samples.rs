@@ -1,0 +1,114 @@
+//! Requests for what is read or computed from the samples of a field, and for the state of the device.
+
+use std::ops::Range;
+
+use isopeel_kernels::{Histogram, HistogramWork, OverviewPart, OverviewValues, Samples};
+use isopeel_volumes::VolumeStep;
+
+use crate::context::JobContext;
+use crate::job_error::JobError;
+use crate::keys::{HistogramKey, VolumeKey};
+use crate::slices::Slice;
+use crate::workspace::Workspace;
+
+type Context<'a, 'b> = &'a mut JobContext<'b, Workspace>;
+
+/// Marks the fields as used that a histogram is made of. See [`Workspace::use_histogram_fields`].
+#[derive(Clone)]
+pub struct UseHistogramFields {
+    /// The volume.
+    pub volume: VolumeStep,
+    /// The histogram.
+    pub key: HistogramKey,
+}
+
+/// Does the next part of a histogram. The reply has the work that remains, and the histogram if it is complete. See
+/// [`Workspace::continue_histogram`].
+#[derive(Clone)]
+pub struct ContinueHistogram {
+    /// The volume.
+    pub volume: VolumeStep,
+    /// The histogram.
+    pub key: HistogramKey,
+    /// The work so far.
+    pub work: HistogramWork,
+}
+
+/// Does a part of an overview. See [`Workspace::continue_overview`].
+#[derive(Clone)]
+pub struct ContinueOverview {
+    /// The volume.
+    pub volume: VolumeStep,
+    /// The field.
+    pub key: VolumeKey,
+    /// The part.
+    pub part: OverviewPart,
+}
+
+/// Reads planes across z. See [`Workspace::samples`].
+#[derive(Clone)]
+pub struct ReadSamples {
+    /// The volume.
+    pub volume: VolumeStep,
+    /// The field.
+    pub key: VolumeKey,
+    /// The planes.
+    pub planes: Range<u32>,
+}
+
+/// Reads a plane across any axis. See [`Workspace::slice`].
+#[derive(Clone)]
+pub struct ReadSlice {
+    /// The volume.
+    pub volume: VolumeStep,
+    /// The field.
+    pub key: VolumeKey,
+    /// The axis, 0 to 2.
+    pub axis: usize,
+    /// The plane.
+    pub index: u32,
+}
+
+/// Asks whether the device answers.
+pub struct CheckAnswers;
+
+impl UseHistogramFields {
+    pub(super) fn work(self, workspace: &mut Workspace, _: Context<'_, '_>) -> Result<(), JobError> {
+        workspace.use_histogram_fields(&self.volume, &self.key)
+    }
+}
+
+impl ContinueHistogram {
+    pub(super) fn work(
+        mut self,
+        workspace: &mut Workspace,
+        _: Context<'_, '_>,
+    ) -> Result<(HistogramWork, Option<Histogram>), JobError> {
+        let histogram = workspace.continue_histogram(&self.volume, &self.key, &mut self.work)?;
+        Ok((self.work, histogram))
+    }
+}
+
+impl ContinueOverview {
+    pub(super) fn work(self, workspace: &mut Workspace, _: Context<'_, '_>) -> Result<OverviewValues, JobError> {
+        workspace.continue_overview(&self.volume, &self.key, &self.part)
+    }
+}
+
+impl ReadSamples {
+    pub(super) fn work(self, workspace: &mut Workspace, _: Context<'_, '_>) -> Result<Samples, JobError> {
+        workspace.samples(&self.volume, &self.key, self.planes)
+    }
+}
+
+impl ReadSlice {
+    pub(super) fn work(self, workspace: &mut Workspace, _: Context<'_, '_>) -> Result<Slice, JobError> {
+        workspace.slice(&self.volume, &self.key, self.axis, self.index)
+    }
+}
+
+impl CheckAnswers {
+    pub(super) fn work(self, workspace: &mut Workspace, _: Context<'_, '_>) -> Result<bool, JobError> {
+        Ok(workspace.engine().answers())
+    }
+}
