@@ -1,13 +1,13 @@
 //! Device memory: typed buffers from a pool that accounts for them.
 
+use crate::lock::lock;
 use crate::{Error, Result};
 use opencl3::context::Context;
 use opencl3::error_codes::{CL_INVALID_BUFFER_SIZE, CL_MEM_OBJECT_ALLOCATION_FAILURE, CL_OUT_OF_RESOURCES, ClError};
 use opencl3::memory::{CL_MEM_READ_WRITE, ClMem};
 use opencl3::types::cl_mem;
-use std::cell::{Cell, RefCell};
 use std::mem::ManuallyDrop;
-use std::rc::Rc;
+use std::sync::{Arc, Mutex};
 
 /// Bytes allocated on a device; on a CPU they are the host's.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -22,90 +22,94 @@ pub struct DeviceMemory {
 
 /// Accounts for a device's allocations and caches freed ones for later allocations of about the same size: drivers allocate
 /// slowly, and on a CPU the operating system maps fresh pages slowly.
-pub(crate) struct Pool {
-    now: Cell<u64>,
+pub(crate) struct Pool(Mutex<Account>);
+
+struct Account {
+    now: u64,
     /// Bytes that [`Buffer::lend`] took out and that are not back yet.
-    lent: Cell<u64>,
-    peak: Cell<u64>,
+    lent: u64,
+    peak: u64,
     /// Freed allocations and their bytes, least recently used first.
-    idle: RefCell<Vec<(u64, opencl3::memory::Buffer<u8>)>>,
+    idle: Vec<(u64, opencl3::memory::Buffer<u8>)>,
     /// Maximum bytes in `idle`.
-    idle_limit: Cell<u64>,
+    idle_limit: u64,
 }
 
 impl Pool {
     /// A pool that keeps at most `idle_limit` freed bytes.
     pub fn new(idle_limit: u64) -> Self {
-        Self {
-            now: Cell::default(),
-            lent: Cell::default(),
-            peak: Cell::default(),
-            idle: RefCell::default(),
-            idle_limit: Cell::new(idle_limit),
-        }
+        Self(Mutex::new(Account {
+            now: 0,
+            lent: 0,
+            peak: 0,
+            idle: Vec::new(),
+            idle_limit,
+        }))
     }
 
     /// Lowers the limit of idle bytes to `bytes`. A limit that is already lower stays.
     pub fn limit_idle(&self, bytes: u64) {
-        self.idle_limit.set(self.idle_limit.get().min(bytes));
+        let mut account = lock(&self.0);
+        account.idle_limit = account.idle_limit.min(bytes);
     }
 
     /// Releases all that is idle.
     pub fn release_idle(&self) {
-        self.idle.borrow_mut().clear();
+        lock(&self.0).idle.clear();
     }
 
     /// Resets the peak; returns the bytes in use.
     pub fn restart(&self) -> u64 {
-        self.peak.set(self.now.get());
-        self.now.get()
+        let mut account = lock(&self.0);
+        account.peak = account.now;
+        account.now
     }
 
     /// Peak of the bytes in use since [`Pool::restart`].
     pub fn peak(&self) -> u64 {
-        self.peak.get()
+        lock(&self.0).peak
     }
 
     /// Bytes in use, idle and lent.
     pub fn memory(&self) -> DeviceMemory {
+        let account = lock(&self.0);
         DeviceMemory {
-            in_use: self.now.get(),
-            idle: self.idle.borrow().iter().map(|(bytes, _)| bytes).sum(),
-            lent: self.lent.get(),
+            in_use: account.now,
+            idle: account.idle.iter().map(|(bytes, _)| bytes).sum(),
+            lent: account.lent,
         }
     }
 
     /// Takes back lent memory.
     pub fn take_back(&self, bytes: u64, memory: opencl3::memory::Buffer<u8>) {
-        self.lent.set(self.lent.get() - bytes);
-        self.put_back(bytes, memory);
+        let mut account = lock(&self.0);
+        account.lent -= bytes;
+        account.put_back(bytes, memory);
     }
+}
 
-    fn add(&self, bytes: u64) {
-        self.now.set(self.now.get() + bytes);
-        self.peak.set(self.peak.get().max(self.now.get()));
-    }
-
-    fn subtract(&self, bytes: u64) {
-        self.now.set(self.now.get() - bytes);
+impl Account {
+    fn add(&mut self, bytes: u64) {
+        self.now += bytes;
+        self.peak = self.peak.max(self.now);
     }
 
     /// The smallest idle allocation of at least `bytes` and at most a quarter more.
-    fn take(&self, bytes: u64) -> Option<(u64, cl_mem)> {
-        let mut idle = self.idle.borrow_mut();
+    fn take(&mut self, bytes: u64) -> Option<(u64, cl_mem)> {
         let fits = |&(has, _): &(u64, _)| has >= bytes && has - bytes <= (bytes / 4).max(1 << 16);
+        let idle = &mut self.idle;
         let tightest = (0..idle.len()).filter(|&i| fits(&idle[i])).min_by_key(|&i| idle[i].0)?;
         let (has, memory) = idle.remove(tightest);
         Some((has, ManuallyDrop::new(memory).get()))
     }
 
     /// Takes memory that is no longer in use; releases the oldest while the idle memory exceeds the limit.
-    pub fn put_back(&self, bytes: u64, memory: opencl3::memory::Buffer<u8>) {
-        let mut idle = self.idle.borrow_mut();
-        idle.push((bytes, memory));
-        let mut total: u64 = idle.iter().map(|(bytes, _)| bytes).sum();
-        idle.retain(|(bytes, _)| {
-            let keep = total <= self.idle_limit.get();
+    fn put_back(&mut self, bytes: u64, memory: opencl3::memory::Buffer<u8>) {
+        self.idle.push((bytes, memory));
+        let mut total: u64 = self.idle.iter().map(|(bytes, _)| bytes).sum();
+        let limit = self.idle_limit;
+        self.idle.retain(|(bytes, _)| {
+            let keep = total <= limit;
             total -= if keep { 0 } else { *bytes };
             keep
         });
@@ -119,7 +123,7 @@ pub(crate) struct Buffer<T> {
     len: usize,
     /// Size of the allocation: that of `len` elements or a little more.
     allocated_bytes: u64,
-    pool: Rc<Pool>,
+    pool: Arc<Pool>,
 }
 
 impl<T> Buffer<T> {
@@ -127,7 +131,7 @@ impl<T> Buffer<T> {
     /// memory is new instead of reused.
     pub fn new(
         context: &Context,
-        pool: &Rc<Pool>,
+        pool: &Arc<Pool>,
         limit_bytes: u64,
         stage: &'static str,
         len: usize,
@@ -143,7 +147,7 @@ impl<T> Buffer<T> {
         // SAFETY: no host pointer is passed, so OpenCL allocates the memory itself.
         let create =
             || unsafe { opencl3::memory::Buffer::create(context, CL_MEM_READ_WRITE, len.max(1), std::ptr::null_mut()) };
-        let earlier = pool.take(bytes);
+        let earlier = lock(&pool.0).take(bytes);
         let is_new = earlier.is_none();
         let (allocated_bytes, inner) = match earlier {
             Some((allocated, memory)) => (allocated, opencl3::memory::Buffer::new(memory)),
@@ -155,7 +159,7 @@ impl<T> Buffer<T> {
                 (bytes, made.map_err(|e| allocation_error(stage, bytes, e))?)
             }
         };
-        pool.add(allocated_bytes);
+        lock(&pool.0).add(allocated_bytes);
         let buffer = Self {
             inner: ManuallyDrop::new(inner),
             len,
@@ -195,8 +199,11 @@ impl<T> Buffer<T> {
     /// Takes the memory out of the pool; returns the bytes allocated and the memory. [`Pool::take_back`] takes it back.
     pub fn lend(self) -> (u64, opencl3::memory::Buffer<u8>) {
         let this = ManuallyDrop::new(self);
-        this.pool.subtract(this.allocated_bytes);
-        this.pool.lent.set(this.pool.lent.get() + this.allocated_bytes);
+        {
+            let mut account = lock(&this.pool.0);
+            account.now -= this.allocated_bytes;
+            account.lent += this.allocated_bytes;
+        }
         // SAFETY: not used again, as its owner is never dropped.
         drop(unsafe { std::ptr::read(&this.pool) });
         (this.allocated_bytes, opencl3::memory::Buffer::new(this.handle()))
@@ -205,10 +212,10 @@ impl<T> Buffer<T> {
 
 impl<T> Drop for Buffer<T> {
     fn drop(&mut self) {
-        self.pool.subtract(self.allocated_bytes);
+        let mut account = lock(&self.pool.0);
+        account.now -= self.allocated_bytes;
         // Commands that still use the memory run before those of its next owner: the queue is in order.
-        self.pool
-            .put_back(self.allocated_bytes, opencl3::memory::Buffer::new(self.handle()));
+        account.put_back(self.allocated_bytes, opencl3::memory::Buffer::new(self.handle()));
     }
 }
 

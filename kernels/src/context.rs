@@ -4,6 +4,7 @@ use crate::buffer::{Buffer, Pool, allocation_error};
 use crate::cancel::{Cancel, check_cancelled};
 use crate::device::{self, Found};
 use crate::error::OPEN;
+use crate::lock::lock;
 use crate::pace::Pace;
 use crate::program::{Program, Programs};
 use crate::sources::Source;
@@ -14,9 +15,8 @@ use opencl3::error_codes::ClError;
 use opencl3::event::Event;
 use opencl3::kernel::Kernel;
 use opencl3::types::{CL_BLOCKING, cl_event};
-use std::cell::RefCell;
-use std::rc::Rc;
 use std::sync::mpsc::{Receiver, Sender, channel};
+use std::sync::{Arc, Mutex};
 use std::time::Instant;
 
 mod large_pages;
@@ -93,7 +93,7 @@ const CUSTOM: &str = "custom program";
 /// Maximum number of events that are kept before their times are added up.
 const MAX_EVENTS: usize = 4096;
 
-/// An open device. Lives on one thread.
+/// An open device.
 pub(crate) struct Context {
     pub found: Found,
     /// How kernels are built and launched on it.
@@ -101,14 +101,14 @@ pub(crate) struct Context {
     pub context: opencl3::context::Context,
     pub queue: CommandQueue,
     pub programs: Programs,
-    pub pool: Rc<Pool>,
-    events: RefCell<Vec<(&'static str, Event)>>,
+    pub pool: Arc<Pool>,
+    events: Mutex<Vec<(&'static str, Event)>>,
     /// Times of events before these.
-    times: RefCell<Vec<StageTime>>,
+    times: Mutex<Vec<StageTime>>,
     /// Pinned memory that meshes are read to.
-    pub blocks: RefCell<Blocks>,
+    pub blocks: Mutex<Blocks>,
     /// Returns memory lent to surfaces: at most two buffers for each of them, or all blocks.
-    pub returned: (Sender<Returned>, Receiver<Returned>),
+    pub returned: (Sender<Returned>, Mutex<Receiver<Returned>>),
     /// Largest allocation that is tried, in bytes.
     pub limit_bytes: u64,
     #[cfg(feature = "testing")]
@@ -126,26 +126,26 @@ impl Context {
     ) -> Result<Self> {
         let found = device::select(selector)?;
         let failed = |source| Error::Launch { stage: OPEN, source };
-        let device = opencl3::device::Device::new(found.handle);
-        let context = opencl3::context::Context::from_device(&device).map_err(failed)?;
+        let context = opencl3::context::Context::from_device(&found.device).map_err(failed)?;
         // The deprecated call, because the newer one does not exist on OpenCL 1.2 drivers.
         #[allow(deprecated)]
         // SAFETY: the device belongs to the context just made.
         let queue =
-            unsafe { CommandQueue::create(&context, found.handle, CL_QUEUE_PROFILING_ENABLE) }.map_err(failed)?;
+            unsafe { CommandQueue::create(&context, found.device.id(), CL_QUEUE_PROFILING_ENABLE) }.map_err(failed)?;
         let limit_bytes = limit_bytes.unwrap_or(u64::MAX).min(found.info.max_allocation_bytes);
         let idle_limit = found.info.memory_bytes / IDLE_SHARE;
+        let (returner, returned) = channel();
         Ok(Self {
             tuning: tuning.unwrap_or(Tuning::of(&found.info)),
             found,
             context,
             queue,
             programs: Programs::new(sources),
-            pool: Rc::new(Pool::new(idle_limit)),
-            events: RefCell::default(),
-            times: RefCell::default(),
-            blocks: RefCell::default(),
-            returned: channel(),
+            pool: Arc::new(Pool::new(idle_limit)),
+            events: Mutex::default(),
+            times: Mutex::default(),
+            blocks: Mutex::default(),
+            returned: (returner, Mutex::new(returned)),
             limit_bytes,
             #[cfg(feature = "testing")]
             recorder: Default::default(),
@@ -156,7 +156,7 @@ impl Context {
     ///
     /// # Errors
     /// [`Error::Build`], or an error of the device.
-    pub fn kernel(&self, sample_type: SampleType, name: &str) -> Result<Rc<Kernel>> {
+    pub fn kernel(&self, sample_type: SampleType, name: &str) -> Result<Arc<Mutex<Kernel>>> {
         self.find_kernel(name, Some(sample_type))
     }
 
@@ -164,17 +164,17 @@ impl Context {
     ///
     /// # Errors
     /// As [`Context::kernel`].
-    pub fn uneven_kernel(&self, name: &str) -> Result<Rc<Kernel>> {
+    pub fn uneven_kernel(&self, name: &str) -> Result<Arc<Mutex<Kernel>>> {
         self.find_kernel(name, None)
     }
 
-    fn find_kernel(&self, name: &str, sample_type: Option<SampleType>) -> Result<Rc<Kernel>> {
+    fn find_kernel(&self, name: &str, sample_type: Option<SampleType>) -> Result<Arc<Mutex<Kernel>>> {
         let program = self.programs.of_kernel(name, sample_type, |source, options| {
             let text = format!("#include \"{}\"\n", source.file);
             let options = format!("-cl-std=CL1.2 {options} {}", self.tuning.defines());
             Program::build(&self.context, &self.found, &text, &options, source.stage)
         })?;
-        Ok(Rc::clone(program.get(name)))
+        Ok(Arc::clone(program.get(name)))
     }
 
     /// Builds a program of any text, which may include files of `cl/`.
@@ -327,7 +327,7 @@ impl Context {
     pub fn launch(
         &self,
         stage: &'static str,
-        kernel: &Rc<Kernel>,
+        kernel: &Arc<Mutex<Kernel>>,
         groups: usize,
         local: usize,
         args: &[&dyn Arg],
@@ -336,6 +336,8 @@ impl Context {
             return Ok(());
         }
         let failed = |source| Error::Launch { stage, source };
+        // Held until the launch is enqueued: a kernel has one set of arguments.
+        let kernel = &*lock(kernel);
         let expected = kernel.num_args().map_err(failed)? as usize;
         assert_eq!(args.len(), expected, "arguments of a kernel of stage {stage}");
         self.programs.pass_launch(kernel, groups * local, local)?;
@@ -396,9 +398,12 @@ impl Context {
 
     pub fn record(&self, stage: &'static str, event: std::result::Result<Event, ClError>, bytes: u64) -> Result<()> {
         let event = event.map_err(|e| allocation_error(stage, bytes, e))?;
-        self.events.borrow_mut().push((stage, event));
+        let mut events = lock(&self.events);
+        events.push((stage, event));
         // Some jobs never take their times, such as expressions and histograms.
-        if self.events.borrow().len() >= MAX_EVENTS {
+        let is_full = events.len() >= MAX_EVENTS;
+        drop(events);
+        if is_full {
             self.sum_times()?;
         }
         Ok(())
@@ -407,14 +412,14 @@ impl Context {
     /// Device time of each stage since the last call, in order of first execution. Waits for running work.
     pub fn take_times(&self) -> Result<Vec<StageTime>> {
         self.sum_times()?;
-        Ok(self.times.take())
+        Ok(std::mem::take(&mut *lock(&self.times)))
     }
 
     /// Adds up the times of all events, and releases them. Waits for running work.
     fn sum_times(&self) -> Result<()> {
         self.finish("timing")?;
-        let mut times = self.times.borrow_mut();
-        for (stage, event) in self.events.borrow_mut().drain(..) {
+        let mut times = lock(&self.times);
+        for (stage, event) in lock(&self.events).drain(..) {
             // A driver without profiling returns an error. A time of zero would be false, so the stage is left out.
             let (Ok(start), Ok(end)) = (event.profiling_command_start(), event.profiling_command_end()) else {
                 continue;

@@ -4,7 +4,8 @@ use crate::buffer::Buffer;
 use crate::layout::{self, RegionCut, RegionMesh};
 use crate::stages::dual::Counted;
 use crate::{ErrorEstimate, Level, Mesher, Pyramid};
-use std::cell::{Cell, RefCell};
+use std::sync::Mutex;
+use std::sync::atomic::AtomicU64;
 
 /// The leaves of a pyramid (`docs/algorithm.md#4-importance-and-cut`), on the device: one byte per node. The cut keeps the sizes of its
 /// meshes, so that for another cut of the same pyramid only the differing regions are meshed.
@@ -19,11 +20,11 @@ pub struct Cut {
     /// Sums over the leaves of each active region.
     pub(crate) regions: Vec<RegionCut>,
     /// Results of the counting passes, kept for meshing.
-    pub(crate) counted: RefCell<Option<(Counted, Vec<RegionMesh>)>>,
+    pub(crate) counted: Mutex<Option<(Counted, Vec<RegionMesh>)>>,
     /// Vertices and triangles of each active region, once all of them are known.
-    pub(crate) meshes: RefCell<Option<Vec<RegionMesh>>>,
+    pub(crate) meshes: Mutex<Option<Vec<RegionMesh>>>,
     /// Vertices of marching cubes that could not be patched.
-    pub(crate) unpatched_vertices: Cell<u64>,
+    pub(crate) unpatched_vertices: AtomicU64,
 }
 
 impl Cut {

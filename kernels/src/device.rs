@@ -1,7 +1,7 @@
 //! Lists OpenCL devices and selects one.
 
 use crate::{Error, Result};
-use opencl3::device::{CL_DEVICE_TYPE_ALL, CL_DEVICE_TYPE_CPU, CL_DEVICE_TYPE_GPU, Device, cl_device_id};
+use opencl3::device::{CL_DEVICE_TYPE_ALL, CL_DEVICE_TYPE_CPU, CL_DEVICE_TYPE_GPU, Device};
 use opencl3::error_codes::ClError;
 use opencl3::platform::{Platform, get_platforms};
 use std::sync::{Mutex, PoisonError};
@@ -81,10 +81,10 @@ impl DeviceInfo {
     }
 }
 
-/// A listed device and the driver's handle of it.
+/// A listed device.
 pub(crate) struct Found {
     pub info: DeviceInfo,
-    pub handle: cl_device_id,
+    pub device: Device,
 }
 
 fn name_of(platform: &Platform) -> String {
@@ -92,8 +92,7 @@ fn name_of(platform: &Platform) -> String {
     name.map_or_else(|_| "unnamed platform".to_owned(), |name| name.trim().to_owned())
 }
 
-fn describe(platform: &Platform, handle: cl_device_id) -> std::result::Result<DeviceInfo, ClError> {
-    let device = Device::new(handle);
+fn describe(platform: &Platform, device: &Device) -> std::result::Result<DeviceInfo, ClError> {
     let kind = match device.dev_type()? {
         t if t & CL_DEVICE_TYPE_GPU != 0 => DeviceKind::Gpu,
         t if t & CL_DEVICE_TYPE_CPU != 0 => DeviceKind::Cpu,
@@ -135,8 +134,9 @@ pub(crate) fn find() -> Result<Vec<Found>> {
     for platform in platforms {
         // A platform without devices returns an error; other platforms may still have devices.
         for handle in platform.get_devices(CL_DEVICE_TYPE_ALL).unwrap_or_default() {
-            match describe(&platform, handle) {
-                Ok(info) => found.push(Found { info, handle }),
+            let device = Device::new(handle);
+            match describe(&platform, &device) {
+                Ok(info) => found.push(Found { info, device }),
                 Err(e) => {
                     let name = name_of(&platform);
                     tracing::warn!("a device of {name:?} does not answer and is left out: {e}");

@@ -4,6 +4,7 @@
 use crate::check::{self, Check};
 use crate::context::read_back::Blocks;
 use crate::expression::{Binary, Op};
+use crate::lock::lock;
 use crate::testing::device;
 use crate::{DeviceKind, Engine, Error, Expression, Grid, Never, SampleType, Samples, Tuning, layout, stages};
 
@@ -155,7 +156,7 @@ fn parts_are_read_as_they_are() {
         assert!(read_otherwise == read);
         read
     };
-    let allocated = || cx.blocks.borrow().allocated;
+    let allocated = || lock(&cx.blocks).allocated;
     drop(read());
     let first = allocated();
     drop(read());

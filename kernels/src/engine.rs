@@ -2,6 +2,7 @@
 
 use crate::buffer::{Buffer, DeviceMemory};
 use crate::context::Context;
+use crate::lock::lock;
 use crate::program::{CompilerCheck, Gate};
 use crate::stages;
 use crate::stages::histogram::{self, HistogramWork};
@@ -26,7 +27,8 @@ pub(crate) mod tree_refine;
 pub(crate) mod upload;
 pub(crate) mod vertex_distances;
 
-/// A device, its queue and its programs. Lives on one thread.
+/// A device, its queue and its programs. It may move between threads. Several may use it at once, but they gain nothing: all commands
+/// are in one queue.
 pub struct Engine {
     pub(crate) cx: Context,
     pub(crate) cases: Buffer<u8>,
@@ -126,7 +128,7 @@ impl Engine {
         self.cx.reclaim()?;
         let memory = self.cx.pool.memory();
         Ok(DeviceMemory {
-            lent: memory.lent + self.cx.blocks.borrow().bytes(),
+            lent: memory.lent + lock(&self.cx.blocks).bytes(),
             ..memory
         })
     }

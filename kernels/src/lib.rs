@@ -35,6 +35,7 @@ mod feature;
 mod generated;
 pub mod interest;
 pub mod layout;
+mod lock;
 mod mask;
 mod pace;
 pub mod params;

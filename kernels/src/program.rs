@@ -2,17 +2,17 @@
 //! compiler compiles only the stages that a surface needs.
 
 use crate::device::Found;
+use crate::lock::lock;
 use crate::sources::{self, Source};
 use crate::{Error, Result, SampleType};
 use opencl3::context::Context;
 use opencl3::kernel::Kernel;
-use std::cell::RefCell;
 use std::collections::{HashMap, HashSet};
-use std::rc::Rc;
+use std::sync::{Arc, Mutex};
 
 /// A built program and its kernels.
 pub(crate) struct Program {
-    kernels: HashMap<String, Rc<Kernel>>,
+    kernels: HashMap<String, Arc<Mutex<Kernel>>>,
 }
 
 pub(crate) fn sample_type_name(sample_type: SampleType) -> &'static str {
@@ -48,7 +48,7 @@ impl Program {
         let kernels = opencl3::kernel::create_program_kernels(&program)
             .map_err(failed)?
             .into_iter()
-            .map(|kernel| Ok((kernel.function_name()?, Rc::new(kernel))))
+            .map(|kernel| Ok((kernel.function_name()?, Arc::new(Mutex::new(kernel)))))
             .collect::<std::result::Result<_, _>>()
             .map_err(failed)?;
         Ok(Self { kernels })
@@ -58,7 +58,7 @@ impl Program {
     ///
     /// # Panics
     /// The program has no kernel of that name. Every name in this crate is a literal from its source.
-    pub fn get(&self, name: &str) -> &Rc<Kernel> {
+    pub fn get(&self, name: &str) -> &Arc<Mutex<Kernel>> {
         let kernel = self.kernels.get(name);
         kernel.unwrap_or_else(|| panic!("no kernel named {name} in its program"))
     }
@@ -94,13 +94,13 @@ fn name_of((file, variant): &(&'static str, Variant)) -> String {
 pub(crate) struct Programs {
     /// The source of each kernel.
     source_of: HashMap<&'static str, &'static Source>,
-    built: RefCell<HashMap<(&'static str, Variant), Rc<Program>>>,
+    built: Mutex<HashMap<(&'static str, Variant), Arc<Program>>>,
     /// Gate that allows a program to be built.
-    gate: RefCell<Option<Gate>>,
+    gate: Mutex<Option<Gate>>,
     /// Check before the driver's compiler runs.
-    check: RefCell<Option<CompilerCheck>>,
+    check: Mutex<Option<CompilerCheck>>,
     /// Launched variants of kernels: kernel, work-items of a group, and whether there are few work-items.
-    launched: RefCell<HashSet<(usize, usize, bool)>>,
+    launched: Mutex<HashSet<(usize, usize, bool)>>,
 }
 
 /// PoCL compiles one variant of a kernel for launches of at most this many work-items, and another one for more.
@@ -108,35 +108,35 @@ pub(crate) const FEW_WORK_ITEMS: usize = u16::MAX as usize;
 
 /// Returns whether the program of that name ([`crate::Engine::programs`]) may be built already, or an error with the reason if it never
 /// may.
-pub type Gate = Box<dyn Fn(&str) -> std::result::Result<bool, String>>;
+pub type Gate = Box<dyn Fn(&str) -> std::result::Result<bool, String> + Send>;
 
 /// Called before the driver's compiler runs; returns an error with the reason if it must not run.
-pub type CompilerCheck = Box<dyn Fn() -> std::result::Result<(), String>>;
+pub type CompilerCheck = Box<dyn Fn() -> std::result::Result<(), String> + Send>;
 
 impl Programs {
     pub fn new(sources: &'static [Source]) -> Self {
         let names = |source: &'static Source| source.kernel_names().map(move |name| (name, source));
         Self {
             source_of: sources.iter().flat_map(names).collect(),
-            built: RefCell::default(),
-            gate: RefCell::default(),
-            check: RefCell::default(),
-            launched: RefCell::default(),
+            built: Mutex::default(),
+            gate: Mutex::default(),
+            check: Mutex::default(),
+            launched: Mutex::default(),
         }
     }
 
     /// Sets the gate that must allow each further program before it is built.
     pub fn set_gate(&self, gate: Gate) {
-        self.gate.replace(Some(gate));
+        *lock(&self.gate) = Some(gate);
     }
 
     /// Sets the check that is called before the compiler runs.
     pub fn check_compiler(&self, check: CompilerCheck) {
-        self.check.replace(Some(check));
+        *lock(&self.check) = Some(check);
     }
 
     fn may_compile(&self) -> Result<()> {
-        match &*self.check.borrow() {
+        match &*lock(&self.check) {
             Some(check) => check().map_err(Error::Refused),
             None => Ok(()),
         }
@@ -147,7 +147,7 @@ impl Programs {
     /// # Errors
     /// [`Error::NotYet`], or [`Error::Refused`] with the reason of the gate or of the compiler check.
     pub fn pass(&self, name: &str) -> Result<()> {
-        if let Some(gate) = &*self.gate.borrow()
+        if let Some(gate) = &*lock(&self.gate)
             && !gate(name).map_err(Error::Refused)?
         {
             return Err(Error::NotYet(name.to_owned()));
@@ -162,17 +162,17 @@ impl Programs {
     /// [`Error::Refused`] with the reason of the compiler check.
     pub fn pass_launch(&self, kernel: &Kernel, global: usize, local: usize) -> Result<()> {
         let variant = (kernel.get() as usize, local, global <= FEW_WORK_ITEMS);
-        if self.launched.borrow().contains(&variant) {
+        if lock(&self.launched).contains(&variant) {
             return Ok(());
         }
         self.may_compile()?;
-        self.launched.borrow_mut().insert(variant);
+        lock(&self.launched).insert(variant);
         Ok(())
     }
 
     /// Names of the programs that are built, in no order.
     pub fn names(&self) -> Vec<String> {
-        self.built.borrow().keys().map(name_of).collect()
+        lock(&self.built).keys().map(name_of).collect()
     }
 
     /// The program of the stage that has this kernel, for samples of a type, or for uneven axes.
@@ -187,7 +187,7 @@ impl Programs {
         name: &str,
         sample_type: Option<SampleType>,
         build: impl FnOnce(&'static Source, &str) -> Result<Program>,
-    ) -> Result<Rc<Program>> {
+    ) -> Result<Arc<Program>> {
         let source = self.source_of.get(name);
         let source = *source.unwrap_or_else(|| panic!("no kernel named {name} in cl/"));
         let variant = match sample_type {
@@ -196,12 +196,12 @@ impl Programs {
             None => Variant::Uneven,
         };
         let key = (source.file, variant);
-        if let Some(program) = self.built.borrow().get(&key) {
-            return Ok(Rc::clone(program));
+        if let Some(program) = lock(&self.built).get(&key) {
+            return Ok(Arc::clone(program));
         }
         self.pass(&name_of(&key))?;
-        let program = Rc::new(build(source, &variant.options())?);
-        self.built.borrow_mut().insert(key, Rc::clone(&program));
+        let program = Arc::new(build(source, &variant.options())?);
+        lock(&self.built).insert(key, Arc::clone(&program));
         Ok(program)
     }
 }
@@ -224,11 +224,11 @@ fn build(
     let mut retries = BUILD_RETRIES;
     loop {
         let mut program = opencl3::program::Program::create_from_source(context, text).map_err(failed)?;
-        if program.build(&[device.handle], options).is_ok() {
+        if program.build(&[device.device.id()], options).is_ok() {
             return Ok(program);
         }
         let log = program
-            .get_build_log(device.handle)
+            .get_build_log(device.device.id())
             .unwrap_or_else(|_| "no log".to_owned());
         if retries == 0 || !log.contains(INTERRUPTED) {
             return Err(Error::Build {
@@ -266,8 +266,8 @@ mod built {
             let built = BUILT.lock().unwrap_or_else(PoisonError::into_inner);
             let binary = built.get(self)?;
             // SAFETY: this driver produced the binary for this device.
-            let mut program = unsafe { Program::create_from_binary(context, &[device.handle], &[binary]) }.ok()?;
-            program.build(&[device.handle], options).ok()?;
+            let mut program = unsafe { Program::create_from_binary(context, &[device.device.id()], &[binary]) }.ok()?;
+            program.build(&[device.device.id()], options).ok()?;
             Some(program)
         }
 

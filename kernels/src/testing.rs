@@ -8,8 +8,7 @@ use crate::{
     Cut, CutParams, Engine, Error, Grid, Level, Never, Pyramid, Result, Surface, VertexTree, Volume, constants, tables,
 };
 use std::ops::{Deref, DerefMut};
-use std::rc::Rc;
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// Planes of a slab that serves one layer of regions inside the volume.
 pub const LAYER_PLANES: u32 = crate::volume::LAYER_PLANES;
@@ -235,7 +234,7 @@ pub fn node_importances(
     params: &CutParams,
 ) -> Result<Option<Vec<f32>>> {
     let importances = engine.cutter(volume, pyramid, tree, params).importances(params)?;
-    let read = |bits: Rc<Buffer<u32>>| engine.cx.read(STAGE, &bits, bits.len());
+    let read = |bits: Arc<Buffer<u32>>| engine.cx.read(STAGE, &bits, bits.len());
     let bits = importances.map(read).transpose()?;
     Ok(bits.map(|bits| bits.into_iter().map(f32::from_bits).collect()))
 }

@@ -2,9 +2,9 @@
 
 use crate::buffer::Buffer;
 use crate::layout::{RegionMesh, TreeNode, TreeRegion};
+use crate::lock::lock;
 use crate::{CutParams, Pyramid, RemovedParts};
-use std::cell::{OnceCell, RefCell};
-use std::rc::Rc;
+use std::sync::{Arc, Mutex, OnceLock};
 
 /// A hierarchy over the vertices of a pyramid's full dual mesh (`docs/algorithm.md#7-vertex-tree`). If tolerance, budget or importance
 /// change, the same tree is cut again ([`crate::Engine::tree_surface`]).
@@ -36,13 +36,13 @@ pub struct VertexTree {
     /// Points that are in no triangle: they are leaves of every cut except those that leave parts out.
     pub(crate) isolated_points: u64,
     /// Its parts; computed at the first use.
-    pub(crate) parts: OnceCell<Rc<TreeParts>>,
+    pub(crate) parts: OnceLock<Arc<TreeParts>>,
     /// Cache of the last removal: a view is cut many times without the same parts.
-    pub(crate) left_out: RefCell<Option<Rc<LeftOut>>>,
+    pub(crate) left_out: Mutex<Option<Arc<LeftOut>>>,
     /// The last cut, for queries on its surface.
-    pub(crate) last_cut: RefCell<Option<Rc<TreeCut>>>,
+    pub(crate) last_cut: Mutex<Option<Arc<TreeCut>>>,
     /// Cache of the last importances of nodes: users change budgets and tolerances many times with the same importance.
-    pub(crate) importances: RefCell<Option<Importances>>,
+    pub(crate) importances: Mutex<Option<Importances>>,
 }
 
 /// The maximum importance of the points below each node.
@@ -51,7 +51,7 @@ pub struct Importances {
     /// What it was made for; importance alone counts.
     pub(crate) params: CutParams,
     /// Bits of floats of 0 or more, which are ordered as the floats are.
-    pub(crate) bits: Rc<Buffer<u32>>,
+    pub(crate) bits: Arc<Buffer<u32>>,
 }
 
 /// Target of a cut of a tree.
@@ -112,7 +112,7 @@ pub struct TreeCut {
     /// Of each point (`cl/lib/tree_leaf.h`).
     pub(crate) leaves: Buffer<u32>,
     /// Parts that it leaves out.
-    pub(crate) left_out: Option<Rc<LeftOut>>,
+    pub(crate) left_out: Option<Arc<LeftOut>>,
 }
 
 impl TreeCut {
@@ -192,9 +192,7 @@ impl VertexTree {
             + self.parts.get().map_or(0, |parts| {
                 parts.firsts.allocated_bytes() + parts.areas.allocated_bytes()
             })
-            + self
-                .left_out
-                .borrow()
+            + lock(&self.left_out)
                 .as_ref()
                 .map_or(0, |left_out| left_out.points.allocated_bytes())
     }

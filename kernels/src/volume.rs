@@ -3,7 +3,7 @@
 use crate::buffer::Buffer;
 use crate::{Error, REGION_CELLS, Result, layout};
 use std::ops::Range;
-use std::rc::Rc;
+use std::sync::Arc;
 
 /// Type of a sample on the device. Wider file types become [`SampleType::F32`] before upload.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -232,7 +232,7 @@ pub struct Volume {
     /// Bricks that touch a missing sample, 64 bits per region. On the host, because the host lists active regions.
     pub(crate) missing_masks: Vec<[u32; 2]>,
     /// One over the lengths of the cells along x, then along y, then along z, if axes are uneven.
-    pub(crate) inverse_lengths: Option<Rc<Buffer<f32>>>,
+    pub(crate) inverse_lengths: Option<Arc<Buffer<f32>>>,
 }
 
 impl Volume {

@@ -2,6 +2,7 @@
 
 use super::Context;
 use crate::buffer::Buffer;
+use crate::lock::lock;
 use crate::{DeviceKind, Error, Result, SharedSlice};
 use bytemuck::Pod;
 use bytes::Bytes;
@@ -137,9 +138,9 @@ impl<T: Pod> AsRef<[u8]> for Elements<T> {
 impl Context {
     /// Takes back lent memory that was dropped.
     pub fn reclaim(&self) -> Result<()> {
-        for returned in self.returned.1.try_iter() {
+        for returned in lock(&self.returned.1).try_iter() {
             match returned {
-                Returned::Block(block) => self.blocks.borrow_mut().free.push(block),
+                Returned::Block(block) => lock(&self.blocks).free.push(block),
                 Returned::Buffer(MappedBuffer {
                     allocated_bytes,
                     memory,
@@ -248,7 +249,7 @@ impl Context {
     ) -> Result<()> {
         let bytes = span.len() * size_of::<T>();
         let fits = (1..=BLOCK_BYTES).contains(&bytes);
-        let block = fits.then(|| self.blocks.borrow_mut().take(&self.context, &self.queue));
+        let block = fits.then(|| lock(&self.blocks).take(&self.context, &self.queue));
         let Some(block) = block.flatten() else {
             let elements = self.read_at(stage, buffer, span.start, span.len())?;
             pending.push(Pending::Pageable(Bytes::from_owner(Elements(elements))));

@@ -1,8 +1,10 @@
 //! Records hashes of the buffers after each kernel launch. Two versions of the program with equal records compute the same results,
 //! bit for bit, on that device and driver.
 
-use std::cell::RefCell;
 use std::hash::{DefaultHasher, Hash, Hasher};
+use std::sync::Mutex;
+
+use crate::lock::lock;
 
 /// Contents of a buffer after a launch that had it as an argument.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -24,24 +26,24 @@ pub struct Launch {
 
 /// Launches since recording was switched on; `None` while it is off.
 #[derive(Default)]
-pub(crate) struct Recorder(RefCell<Option<Vec<Launch>>>);
+pub(crate) struct Recorder(Mutex<Option<Vec<Launch>>>);
 
 impl Recorder {
     pub fn is_on(&self) -> bool {
-        self.0.borrow().is_some()
+        lock(&self.0).is_some()
     }
 
     pub fn start(&self) {
-        self.0.replace(Some(Vec::new()));
+        *lock(&self.0) = Some(Vec::new());
     }
 
     /// The launches since [`Recorder::start`] or the last call.
     pub fn take(&self) -> Vec<Launch> {
-        self.0.borrow_mut().as_mut().map(std::mem::take).unwrap_or_default()
+        lock(&self.0).as_mut().map(std::mem::take).unwrap_or_default()
     }
 
     pub fn add(&self, launch: Launch) {
-        if let Some(launches) = self.0.borrow_mut().as_mut() {
+        if let Some(launches) = lock(&self.0).as_mut() {
             launches.push(launch);
         }
     }

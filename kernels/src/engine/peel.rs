@@ -4,6 +4,7 @@ use super::cut::work;
 use crate::buffer::Buffer;
 use crate::cancel::check_cancelled;
 use crate::layout::{self, Counters, RegionMesh};
+use crate::lock::lock;
 use crate::stages::dual::Work;
 use crate::stages::{self, dual, error, march, pack, patch};
 use crate::{
@@ -11,6 +12,7 @@ use crate::{
     SurfaceStatistics, Volume,
 };
 use std::ops::Range;
+use std::sync::atomic::Ordering;
 
 /// Stage that reads a mesh back.
 const READ_BACK: &str = "read back";
@@ -61,7 +63,7 @@ impl Engine {
         cancel: &dyn Cancel,
     ) -> Result<Surface> {
         let before = self.cx.pool.restart();
-        let kept = kept.and_then(|kept| Some((&kept.differences.meshes, kept.shown.meshes.borrow().clone()?)));
+        let kept = kept.and_then(|kept| Some((&kept.differences.meshes, lock(&kept.shown.meshes).clone()?)));
         let remade = kept.as_ref().map(|(remake, _)| remake.as_slice());
         let mesh = self.mesh(volume, pyramid, params, cut, remade, cancel)?;
         let error = mesh.errors.as_ref().map(|(_, whole)| *whole);
@@ -92,7 +94,7 @@ impl Engine {
             triangles: made,
             vertices: sum(|mesh| mesh.distinct_vertices.into()),
             lost_cubes: cut.lost_cubes(),
-            unpatched_vertices: cut.unpatched_vertices.get(),
+            unpatched_vertices: cut.unpatched_vertices.load(Ordering::Relaxed),
             estimate: cut.estimate(),
             error,
             stages,
@@ -102,7 +104,7 @@ impl Engine {
                     .max(pyramid.device_bytes() + self.cx.pool.peak().saturating_sub(before)),
             volume_bytes: volume.sample_bytes() + pyramid.feature_bytes,
         };
-        cut.meshes.replace(Some(meshes));
+        *lock(&cut.meshes) = Some(meshes);
         Ok(Surface {
             regions,
             remade: remade.map(|remake| coordinates(pyramid, remake)),
@@ -121,7 +123,7 @@ impl Engine {
             Mesher::Dual => {
                 let counted = dual::count(&self.cx, volume, pyramid, &cut.state, &all(pyramid))?;
                 let regions = counted.1.clone();
-                cut.counted.replace(Some(counted));
+                *lock(&cut.counted) = Some(counted);
                 regions
             }
             Mesher::MarchingCubes => {
@@ -162,7 +164,8 @@ impl Engine {
         cancel: &dyn Cancel,
     ) -> Result<Mesh> {
         let cx = &self.cx;
-        let (counted, mut regions) = match (remake, cut.counted.take()) {
+        let counted = lock(&cut.counted).take();
+        let (counted, mut regions) = match (remake, counted) {
             (None, Some(counted)) => counted,
             (None, None) => dual::count(cx, volume, pyramid, &cut.state, &all(pyramid))?,
             (Some(remake), _) => dual::count(cx, volume, pyramid, &cut.state, &work(pyramid, remake))?,
@@ -236,7 +239,8 @@ impl Engine {
         };
         pack::run(cx, volume, pyramid, &slabs, &input, &vertices, &counters)?;
         let counters = cx.read(READ_BACK, &counters, 1)?[0];
-        cut.unpatched_vertices.set(counters.unpatched_vertices.into());
+        let unpatched = counters.unpatched_vertices.into();
+        cut.unpatched_vertices.store(unpatched, Ordering::Relaxed);
         // No region counts the vertices that it shares: the first stands for all.
         for (i, region) in regions.iter_mut().enumerate() {
             region.distinct_vertices = if i == 0 { counters.vertices } else { 0 };

@@ -2,6 +2,7 @@
 
 use super::fit::{ERROR_KEYS, IMPORTANCE_KEYS};
 use crate::layout::ProbedCell;
+use crate::lock::lock;
 use crate::stages::cut::{self, Criterion};
 use crate::stages::fit::{self, INNER_BINS, Keys};
 use crate::stages::tree_cut::{Cutter, LEAF_LEVEL_SHIFT, LEAF_NUMBER};
@@ -11,7 +12,7 @@ use crate::{
     Cancel, Cut, CutParams, Engine, Error, Level, Pyramid, REGION_CELLS, Result, SampleType, TreeGoal, VertexTree,
     Volume,
 };
-use std::rc::Rc;
+use std::sync::Arc;
 
 /// Stage name of the reads in this module.
 const STAGE: &str = "query";
@@ -28,7 +29,7 @@ pub enum ShownCut<'a> {
     /// Cubes.
     Cubes(&'a Cut),
     /// Leaves of the vertex tree.
-    Tree(&'a VertexTree, Rc<TreeCut>),
+    Tree(&'a VertexTree, Arc<TreeCut>),
 }
 
 /// The leaf that represents the surface at a probed position.
@@ -392,7 +393,7 @@ impl Engine {
 
     /// Returns the number of triangles of a cut; counts them on the device if its mesh is not known.
     fn triangles_of(&self, volume: &Volume, pyramid: &Pyramid, cut: &Cut, cancel: &dyn Cancel) -> Result<u64> {
-        if let Some(meshes) = &*cut.meshes.borrow() {
+        if let Some(meshes) = &*lock(&cut.meshes) {
             let triangles = meshes.iter().map(|mesh| super::peel::triangles(mesh) as u64);
             return Ok(triangles.sum());
         }

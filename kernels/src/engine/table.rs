@@ -5,7 +5,7 @@ use crate::pace::Pace;
 use crate::stages::minmax;
 use crate::volume::Slab;
 use crate::{Cancel, Engine, Grid, Result, SampleType, Volume, cancel};
-use std::rc::Rc;
+use std::sync::Arc;
 
 /// Samples of the first launch, and of one launch at most.
 const LAUNCH_SAMPLES: [u64; 2] = [1 << 22, 1 << 30];
@@ -26,7 +26,7 @@ impl Engine {
         sample_type: SampleType,
         missing: Option<f32>,
         slabs: Vec<Slab>,
-        inverse_lengths: Option<Rc<Buffer<f32>>>,
+        inverse_lengths: Option<Arc<Buffer<f32>>>,
         cancel: &dyn Cancel,
     ) -> Result<Volume> {
         let mut volume = self.without_table(grid, sample_type, missing, slabs, inverse_lengths)?;
@@ -41,7 +41,7 @@ impl Engine {
         sample_type: SampleType,
         missing: Option<f32>,
         slabs: Vec<Slab>,
-        inverse_lengths: Option<Rc<Buffer<f32>>>,
+        inverse_lengths: Option<Arc<Buffer<f32>>>,
     ) -> Result<Volume> {
         let regions = grid.regions().iter().map(|&r| r as usize).product::<usize>();
         Ok(Volume {

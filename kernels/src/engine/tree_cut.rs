@@ -7,6 +7,7 @@ use crate::buffer::Buffer;
 use crate::cancel::check_cancelled;
 use crate::cut::sum_levels;
 use crate::layout::{RegionMesh, TreeCutRegion};
+use crate::lock::lock;
 use crate::stages::fit::{INNER_BINS, Keys};
 use crate::stages::tree_cut::{CutWork, Cutter};
 use crate::stages::{cut, error, tree_cut};
@@ -15,7 +16,7 @@ use crate::{
     Cancel, CutParams, Engine, Error, ErrorEstimate, Level, Never, PartFilter, Pyramid, Result, Surface,
     SurfaceStatistics, VertexTree, Volume,
 };
-use std::rc::Rc;
+use std::sync::Arc;
 
 /// Maximum number of cuts that are tried until no merge changes the topology. Each repair forbids at least one merge.
 const MAX_REPAIRS: usize = 64;
@@ -349,8 +350,8 @@ impl Engine {
         params: &CutParams,
         goal: &TreeGoal,
         cancel: &dyn Cancel,
-    ) -> Result<Rc<TreeCut>> {
-        let last = cutter.tree.last_cut.borrow().clone();
+    ) -> Result<Arc<TreeCut>> {
+        let last = lock(&cutter.tree.last_cut).clone();
         if let Some(last) = last.filter(|last| last.is_for(params, goal)) {
             return Ok(last);
         }
@@ -405,16 +406,16 @@ impl Engine {
 }
 
 /// Keeps a cut as the tree's last one.
-fn keep(cutter: &Cutter<'_>, params: &CutParams, goal: &TreeGoal, work: CutWork) -> Rc<TreeCut> {
+fn keep(cutter: &Cutter<'_>, params: &CutParams, goal: &TreeGoal, work: CutWork) -> Arc<TreeCut> {
     let (keys, leaves) = work.into_keys_and_leaves();
-    let cut = Rc::new(TreeCut {
+    let cut = Arc::new(TreeCut {
         params: params.clone(),
         goal: goal.clone(),
         keys,
         leaves,
         left_out: cutter.left_out.clone(),
     });
-    cutter.tree.last_cut.replace(Some(Rc::clone(&cut)));
+    *lock(&cutter.tree.last_cut) = Some(Arc::clone(&cut));
     cut
 }
 

@@ -1,6 +1,7 @@
 //! The parts of a vertex tree's surface, and which of them a cut leaves out.
 
 use crate::layout::TreePartSum;
+use crate::lock::lock;
 use crate::stages::cut::Criterion;
 use crate::stages::probe;
 use crate::stages::tree_cut::Cutter;
@@ -10,7 +11,7 @@ use crate::{
     Cancel, ChosenParts, CutParams, DeviceKind, Engine, Level, Never, PartFilter, ProbedPart, Pyramid, RemovedParts,
     Result, VertexTree, Volume,
 };
-use std::rc::Rc;
+use std::sync::Arc;
 
 /// A probe finds the parts of full surfaces of at most this size, which takes some 50 ms. Parts of larger surfaces are found only when a
 /// filter removes some, because a probe does not pause for other jobs.
@@ -61,11 +62,11 @@ pub(super) fn left_out(
     params: &CutParams,
     filter: &PartFilter,
     cancel: &dyn Cancel,
-) -> Result<Option<Rc<LeftOut>>> {
+) -> Result<Option<Arc<LeftOut>>> {
     if !filter.removes() {
         return Ok(None);
     }
-    let kept = cutter.tree.left_out.borrow().clone();
+    let kept = lock(&cutter.tree.left_out).clone();
     if kept.as_ref().is_some_and(|kept| kept.filter == *filter) {
         return Ok(kept);
     }
@@ -75,7 +76,7 @@ pub(super) fn left_out(
     let points = cutter.removed_points(&parts, filter.min_area, &firsts, keep)?;
     let sums = cutter.sum_removed(&parts, &points)?;
     let total = |of: fn(&TreePartSum) -> u32| sums.iter().map(|sum| u64::from(of(sum))).sum();
-    let left_out = Rc::new(LeftOut {
+    let left_out = Arc::new(LeftOut {
         filter: filter.clone(),
         points,
         removed: RemovedParts {
@@ -86,7 +87,7 @@ pub(super) fn left_out(
         triangles: total(|sum| sum.triangles),
         area_left: sums.iter().map(|sum| f64::from(sum.area_left)).sum(),
     });
-    cutter.tree.left_out.replace(Some(Rc::clone(&left_out)));
+    *lock(&cutter.tree.left_out) = Some(Arc::clone(&left_out));
     Ok(Some(left_out))
 }
 
@@ -112,10 +113,10 @@ fn chosen(cutter: &Cutter<'_>, params: &CutParams, parts: &TreeParts, filter: &P
 }
 
 /// Returns the parts of the surface, which the tree caches.
-fn parts(cutter: &Cutter<'_>, cancel: &dyn Cancel) -> Result<Rc<TreeParts>> {
+fn parts(cutter: &Cutter<'_>, cancel: &dyn Cancel) -> Result<Arc<TreeParts>> {
     if let Some(parts) = cutter.tree.parts.get() {
-        return Ok(Rc::clone(parts));
+        return Ok(Arc::clone(parts));
     }
-    let parts = Rc::new(cutter.parts(cancel)?);
-    Ok(Rc::clone(cutter.tree.parts.get_or_init(|| parts)))
+    let parts = Arc::new(cutter.parts(cancel)?);
+    Ok(Arc::clone(cutter.tree.parts.get_or_init(|| parts)))
 }

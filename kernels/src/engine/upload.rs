@@ -3,7 +3,7 @@
 use super::table::TableWork;
 use crate::volume::{Slab, slab_layers, slab_planes};
 use crate::{Engine, Error, Grid, RectilinearGrid, Result, SampleType, Samples, Volume};
-use std::rc::Rc;
+use std::sync::Arc;
 
 /// A field of which a part is on the device.
 pub struct Upload {
@@ -39,7 +39,7 @@ impl Engine {
         let slabs = slabs.collect::<Result<_>>()?;
         let lengths = rectilinear.inverse_lengths();
         let lengths = lengths.map(|lengths| self.cx.upload("upload", &lengths));
-        let lengths = lengths.transpose()?.map(Rc::new);
+        let lengths = lengths.transpose()?.map(Arc::new);
         Ok(Upload {
             volume: self.without_table(grid, sample_type, missing, slabs, lengths)?,
             table: None,

@@ -8,7 +8,7 @@ use crate::layout::{Grid, Node};
 use crate::volume::Slab;
 use crate::{Cancel, Feature, Result, Volume, constants};
 use opencl3::kernel::Kernel;
-use std::rc::Rc;
+use std::sync::{Arc, Mutex};
 
 /// Name of the stage.
 pub const STAGE: &str = "derive";
@@ -97,7 +97,7 @@ impl<'a> Source<'a> {
     }
 
     /// Uneven axes have a program of their own, so that even axes have no extra cost.
-    fn kernel(&self, cx: &Context, name: &str) -> Result<Rc<Kernel>> {
+    fn kernel(&self, cx: &Context, name: &str) -> Result<Arc<Mutex<Kernel>>> {
         match self.inverse_lengths() {
             Some(_) => cx.uneven_kernel(name),
             None => cx.kernel(self.fields[0].sample_type, name),

@@ -1,5 +1,6 @@
 //! Cuts of the vertex tree.
 
+use crate::lock::lock;
 use super::args::kernel_args;
 use crate::buffer::Buffer;
 use crate::context::{Arg, Context};
@@ -8,7 +9,7 @@ use crate::stages::cut::Criterion;
 use crate::stages::fit::Keys;
 use crate::tree::{Importances, LeftOut, VertexTree};
 use crate::{Level, Pyramid, Result, Volume, constants};
-use std::rc::Rc;
+use std::sync::Arc;
 
 /// Name of the stage.
 pub const STAGE: &str = "tree_cut";
@@ -56,7 +57,7 @@ pub struct Cutter<'a> {
     pub pyramid: &'a Pyramid,
     pub tree: &'a VertexTree,
     /// Parts that cuts leave out.
-    pub left_out: Option<Rc<LeftOut>>,
+    pub left_out: Option<Arc<LeftOut>>,
 }
 
 /// State of a cut that is repeated until its topology is that of the full mesh.
@@ -137,19 +138,19 @@ impl Cutter<'_> {
     }
 
     /// Returns the bits of the maximum importance of the points below each node; `None` if all are 0.
-    pub fn importances(&self, params: &crate::CutParams) -> Result<Option<Rc<Buffer<u32>>>> {
+    pub fn importances(&self, params: &crate::CutParams) -> Result<Option<Arc<Buffer<u32>>>> {
         if !params.has_importance() {
             return Ok(None);
         }
-        let last = self.tree.importances.borrow().clone();
+        let last = lock(&self.tree.importances).clone();
         if let Some(last) = last.filter(|last| last.params.has_importance_of(params)) {
             return Ok(Some(last.bits));
         }
-        let bits = Rc::new(self.weigh(&Criterion::upload(self.cx, params, Level::FINEST)?)?);
-        self.tree.importances.replace(Some(Importances {
+        let bits = Arc::new(self.weigh(&Criterion::upload(self.cx, params, Level::FINEST)?)?);
+        *lock(&self.tree.importances) = Some(Importances {
             params: params.clone(),
-            bits: Rc::clone(&bits),
-        }));
+            bits: Arc::clone(&bits),
+        });
         Ok(Some(bits))
     }
 

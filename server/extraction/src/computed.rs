@@ -1,6 +1,6 @@
 //! Fields that the device computes from other fields.
 
-use std::rc::Rc;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use isopeel_kernels::{Cancel, DeviceKind, Error, Volume};
@@ -39,7 +39,7 @@ impl Workspace {
         let payer = payer.as_ref();
         let limit = TimeLimit::new(self.request_time, payer)?;
         self.use_fields(volume, &inputs)?;
-        let resident = |input: &VolumeKey| self.volumes.peek(input).map(Rc::clone).ok_or(WorkError::Stopped);
+        let resident = |input: &VolumeKey| self.volumes.peek(input).map(Arc::clone).ok_or(WorkError::Stopped);
         // The references keep the inputs from being freed meanwhile.
         let held = inputs.iter().map(resident).collect::<Result<Vec<_>, _>>()?;
         let fields: Vec<&Volume> = held.iter().map(|field| &**field).collect();
@@ -83,7 +83,7 @@ impl Workspace {
             "field computed"
         );
         self.computed.insert(key.clone());
-        self.add_volume(key.clone(), bytes, Rc::new(computed));
+        self.add_volume(key.clone(), bytes, Arc::new(computed));
         Ok(true)
     }
 

@@ -1,6 +1,6 @@
 //! Cache of cuts, by their ids.
 
-use std::rc::Rc;
+use std::sync::Arc;
 
 use isopeel_kernels::Cut;
 
@@ -13,7 +13,7 @@ const MIN_CUTS: usize = 3;
 
 /// Cuts that clients show, and the cuts that their surfaces are refined to.
 pub(crate) struct Cuts {
-    kept: Lru<CutId, Rc<Cut>>,
+    kept: Lru<CutId, Arc<Cut>>,
 }
 
 impl Cuts {
@@ -34,11 +34,11 @@ impl Cuts {
         self.kept.retain(|_| false);
     }
 
-    pub(crate) fn get(&mut self, id: CutId) -> Option<Rc<Cut>> {
+    pub(crate) fn get(&mut self, id: CutId) -> Option<Arc<Cut>> {
         self.kept.get(&id).cloned()
     }
 
-    pub(crate) fn keep(&mut self, cut: Rc<Cut>) -> CutId {
+    pub(crate) fn keep(&mut self, cut: Arc<Cut>) -> CutId {
         let id = CutId::next();
         self.kept.insert(id, cut.device_bytes(), cut);
         id

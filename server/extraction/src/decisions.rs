@@ -1,6 +1,6 @@
 //! Outcome for a view that an error or a budget decides: a cut of the vertex tree, a cut of cubes, or a refusal.
 
-use std::rc::Rc;
+use std::sync::Arc;
 
 use isopeel_kernels::{Cut, CutParams, Surface};
 
@@ -11,7 +11,7 @@ pub(crate) enum Decided {
     Tree(Surface),
     Cubes {
         params: CutParams,
-        cut: Rc<Cut>,
+        cut: Arc<Cut>,
         /// The tree has not been tried yet.
         can_improve: bool,
     },

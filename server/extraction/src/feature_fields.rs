@@ -1,6 +1,6 @@
 //! A feature with its fields, which are held while other jobs use the device.
 
-use std::rc::Rc;
+use std::sync::Arc;
 
 use isopeel_kernels::{DerivedFeature, Feature, VectorFeature, Volume};
 use isopeel_view::FeatureName;
@@ -11,15 +11,15 @@ use super::WorkError;
 pub(crate) enum FeatureFields {
     None,
     Derived(DerivedFeature),
-    Field(Rc<Volume>),
-    Vector(VectorFeature, [Rc<Volume>; 3]),
+    Field(Arc<Volume>),
+    Vector(VectorFeature, [Arc<Volume>; 3]),
 }
 
 impl FeatureFields {
     /// Returns the feature of this name with its fields. `resident` returns a resident field by its name.
     pub fn new(
         feature: &FeatureName,
-        resident: impl Fn(&str) -> Result<Rc<Volume>, WorkError>,
+        resident: impl Fn(&str) -> Result<Arc<Volume>, WorkError>,
     ) -> Result<Self, WorkError> {
         Ok(match feature {
             FeatureName::None => Self::None,

@@ -1,6 +1,6 @@
 //! Final surfaces of views, and how far they are from the undecimated ones.
 
-use std::rc::Rc;
+use std::sync::Arc;
 use std::time::Instant;
 
 use isopeel_kernels::{Cancel, CutParams, Mesher, RefinementCost, Surface};
@@ -105,7 +105,7 @@ impl OnDevice<'_> {
             }
         } else {
             let (params, cut) = self.cut_within(view, ceiling, cancel)?;
-            (params, Rc::new(cut))
+            (params, Arc::new(cut))
         };
         let params = CutParams {
             state_error: measures && params.mesher == Mesher::Dual,

@@ -5,6 +5,7 @@ use isopeel_kernels::DeviceKind;
 
 use super::WorkError;
 use super::host_memory::{HostMemory, trim_heaps};
+use super::lock::lock;
 use super::workspace::Workspace;
 
 /// Memory that fields leave free for the next surfaces, within the limit of the caches of surfaces.
@@ -36,7 +37,7 @@ impl Workspace {
             (for_surfaces, Self::evict_fields),
             (0, Self::evict_trees),
             (0, Self::evict_pyramids),
-            (0, |state, _| state.cuts.borrow_mut().clear()),
+            (0, |state, _| lock(&state.cuts).clear()),
         ];
         if memory.missing(needed_bytes.saturating_add(for_surfaces)) == 0 {
             return admitted;
@@ -72,7 +73,7 @@ impl Workspace {
     }
 
     fn evict_trees(&mut self, bytes: u64) {
-        self.trees.borrow_mut().free(bytes, |_| true);
+        lock(&self.trees).free(bytes, |_| true);
     }
 
     fn evict_pyramids(&mut self, bytes: u64) {

@@ -1,6 +1,7 @@
 //! The engine as a library: extracts surfaces from a volume and a view.
 //!
-//! A [`Workspace`] holds a device, the fields that are resident on it, and cached data of earlier edits. It belongs to one thread. Each piece
+//! A [`Workspace`] holds a device, the fields that are resident on it, and cached data of earlier edits. It may move
+//! to another thread. Each piece
 //! of work ends with a result or a [`JobError`], which says what to do before it is retried, such as loading fields. A server does that
 //! between other work; [`Workspace::run_to_completion`] does it at once, for programs that have the device for themselves.
 //!

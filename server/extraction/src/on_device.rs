@@ -1,8 +1,6 @@
 //! A view on the device: what work on its surface uses.
 
-use std::cell::RefCell;
-use std::rc::Rc;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use isopeel_geometry::IndexSpace;
@@ -24,8 +22,8 @@ use super::workspace::{Trees, Workspace};
 pub(crate) struct OnDevice<'a> {
     pub engine: &'a Engine,
     /// `cuts` and `trees` are borrowed only for a moment, because other jobs use them in a pause.
-    pub cuts: &'a RefCell<Cuts>,
-    pub trees: &'a RefCell<Trees>,
+    pub cuts: &'a Mutex<Cuts>,
+    pub trees: &'a Mutex<Trees>,
     /// Key of the pyramid and its tree.
     pub key: PyramidKey,
     pub volume: &'a Volume,
@@ -127,7 +125,7 @@ impl Workspace {
         let shown_volume = self
             .volumes
             .peek(key.samples())
-            .map(Rc::clone)
+            .map(Arc::clone)
             .ok_or(WorkError::Stopped)?;
         // Fitting a budget needs the whole pyramid.
         let cells_suffice = nodes == Nodes::OfTheView && params.is_full(Level::FINEST) && view.budget.is_none();
@@ -136,7 +134,7 @@ impl Workspace {
             .get(&key)
             .is_some_and(|kept| cells_suffice || kept.is_whole());
         self.observer.looked_up("pyramid", is_cached);
-        let (engine, cuts, trees) = (self.shared_engine(), Rc::clone(&self.cuts), Rc::clone(&self.trees));
+        let (engine, cuts, trees) = (self.shared_engine(), Arc::clone(&self.cuts), Arc::clone(&self.trees));
         let (observer, long_work) = (Arc::clone(&self.observer), self.long_work.clone());
         // An error is ignored here: if the device failed, the job's next launch reports it.
         let take_times = || engine.take_times().unwrap_or_default();
@@ -150,10 +148,10 @@ impl Workspace {
             // In a pause, another job may have cached the whole pyramid and a tree of it: keep those.
             if self.pyramids.peek(&key).is_none_or(|kept| !kept.is_whole()) {
                 self.pyramids
-                    .insert(key.clone(), pyramid.device_bytes(), Rc::new(pyramid));
+                    .insert(key.clone(), pyramid.device_bytes(), Arc::new(pyramid));
             }
         }
-        let pyramid = self.pyramids.peek(&key).map(Rc::clone).ok_or(WorkError::Stopped)?;
+        let pyramid = self.pyramids.peek(&key).map(Arc::clone).ok_or(WorkError::Stopped)?;
         let on = OnDevice {
             engine: &engine,
             cuts: &cuts,

@@ -3,7 +3,7 @@
 
 mod answers;
 
-use std::rc::Rc;
+use std::sync::Arc;
 
 use isopeel_geometry::IndexSpace;
 use isopeel_kernels::{
@@ -16,6 +16,7 @@ use super::context::JobContext;
 use super::decisions::TreeCut;
 use super::job_error::JobError;
 use super::keys::VolumeKey;
+use super::lock::lock;
 use super::on_device::{Nodes, OnDevice};
 use super::statistics::in_world;
 use super::workspace::Workspace;
@@ -248,13 +249,13 @@ impl Workspace {
 
 impl OnDevice<'_> {
     /// Returns the cut of cubes that is shown; if it was evicted, makes the cut of its view.
-    fn cut_of(&self, id: CutId, view: &View) -> Result<Rc<Cut>, JobError> {
-        let kept = self.cuts.borrow_mut().get(id).filter(|cut| cut.is_of(self.pyramid));
+    fn cut_of(&self, id: CutId, view: &View) -> Result<Arc<Cut>, JobError> {
+        let kept = lock(self.cuts).get(id).filter(|cut| cut.is_of(self.pyramid));
         match kept {
             Some(cut) => Ok(cut),
             None => {
                 let params = self.params_of(view);
-                Ok(Rc::new(self.engine.cut(
+                Ok(Arc::new(self.engine.cut(
                     self.volume,
                     self.pyramid,
                     &params,

@@ -11,7 +11,7 @@
 //!   until then the surface is a cut of cubes. If parts are to be removed, the cut of cubes is an intermediate step, and the cut of the
 //!   tree the last one. On a slow line a cut of the tree comes after coarser ones ([`tree_steps`]).
 
-use std::rc::Rc;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use isopeel_kernels::{Cancel, Cut, CutParams, DeviceKind, Differences, Kept, Level, MAX_LEVEL, Surface};
@@ -23,6 +23,7 @@ use super::chunk_bytes::{self, BYTES_OF_100_COARSE_TRIANGLES, BYTES_OF_100_TRIAN
 use super::context::JobContext;
 use super::decisions::Decided;
 use super::job_error::JobError;
+use super::lock::lock;
 use super::on_device::{Nodes, OnDevice};
 use super::tree_steps;
 use super::workspace::Workspace;
@@ -102,7 +103,7 @@ impl Workspace {
             {
                 return Ok(on.tree_prefix_refinement(surface, view, on.own_time(start)));
             }
-            let kept = step.target.and_then(|id| Some((id, on.cuts.borrow_mut().get(id)?)));
+            let kept = step.target.and_then(|id| Some((id, lock(on.cuts).get(id)?)));
             let kept = kept.filter(|(_, target)| !tree_first && target.is_of(on.pyramid));
             let (params, target_id, target, can_improve) = match kept {
                 Some((id, target)) => (on.params_of(view), id, target, view.is_by_error()),
@@ -113,19 +114,19 @@ impl Workspace {
                         cut: target,
                         can_improve,
                     } => {
-                        let id = on.cuts.borrow_mut().keep(Rc::clone(&target));
+                        let id = lock(on.cuts).keep(Arc::clone(&target));
                         (params, id, target, can_improve)
                     }
                 },
                 None => {
                     let (params, target) = on.cut_within(view, ceiling_triangles, cancel)?;
-                    let target = Rc::new(target);
-                    let id = on.cuts.borrow_mut().keep(Rc::clone(&target));
+                    let target = Arc::new(target);
+                    let id = lock(on.cuts).keep(Arc::clone(&target));
                     (params, id, target, false)
                 }
             };
             let shown = match step.shown {
-                Shown::Cut(id) => on.cuts.borrow_mut().get(id),
+                Shown::Cut(id) => lock(on.cuts).get(id),
                 Shown::Another | Shown::Alike => None,
             };
             let meshing = Instant::now();
@@ -142,7 +143,7 @@ impl Workspace {
             let made = Made {
                 surface: on.with_all_stages(surface),
                 is_final,
-                cut: cut.map_or(target_id, |cut| on.cuts.borrow_mut().keep(Rc::new(cut))),
+                cut: cut.map_or(target_id, |cut| lock(on.cuts).keep(Arc::new(cut))),
                 target: Some(target_id),
                 meshing: meshing.elapsed(),
             };
@@ -222,7 +223,7 @@ fn unfitted(on: &OnDevice<'_>, view: &View, prefix: Level, cancel: &dyn Cancel) 
     Ok(Made {
         surface: on.with_all_stages(surface),
         is_final: false,
-        cut: on.cuts.borrow_mut().keep(Rc::new(cut)),
+        cut: lock(on.cuts).keep(Arc::new(cut)),
         target: None,
         meshing: start.elapsed(),
     })

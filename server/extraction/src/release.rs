@@ -2,6 +2,7 @@
 
 use isopeel_volumes::StepKey;
 
+use super::lock::lock;
 use super::workspace::Workspace;
 
 impl Workspace {
@@ -10,6 +11,6 @@ impl Workspace {
         let pins = &self.pins;
         self.volumes.retain(|key| key.step != *step || pins.holds(key));
         self.pyramids.retain(|key| key.samples().step != *step);
-        self.trees.borrow_mut().retain(|key| key.samples().step != *step);
+        lock(&self.trees).retain(|key| key.samples().step != *step);
     }
 }

@@ -1,6 +1,6 @@
 //! Surfaces as cuts of the vertex tree: those that an error or a budget decides.
 
-use std::rc::Rc;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use isopeel_kernels::{
@@ -15,6 +15,7 @@ use super::context::JobContext;
 use super::decisions::{Decided, TreeCut, lesser};
 use super::intersections::{CapFaces, intersecting_vertices};
 use super::job_error::JobError;
+use super::lock::lock;
 use super::on_device::{Nodes, OnDevice};
 use super::questions::index_inside;
 use super::results::{Making, Refining};
@@ -49,10 +50,10 @@ impl Workspace {
 
 impl OnDevice<'_> {
     /// Returns the vertex tree if it is cached.
-    pub(crate) fn cached_tree(&self) -> Option<Rc<VertexTree>> {
-        let mut trees = self.trees.borrow_mut();
+    pub(crate) fn cached_tree(&self) -> Option<Arc<VertexTree>> {
+        let mut trees = lock(self.trees);
         let tree = trees.get(&self.key)?;
-        tree.is_of(self.pyramid).then(|| Rc::clone(tree))
+        tree.is_of(self.pyramid).then(|| Arc::clone(tree))
     }
 
     /// Whether the tree is built so quickly that other jobs can wait for it.
@@ -71,7 +72,7 @@ impl OnDevice<'_> {
         view: &View,
         params: &CutParams,
         cancel: &dyn Cancel,
-    ) -> Result<Option<Rc<VertexTree>>, JobError> {
+    ) -> Result<Option<Arc<VertexTree>>, JobError> {
         if let Some(tree) = self.cached_tree() {
             self.observer.looked_up("tree", true);
             return Ok(Some(tree));
@@ -88,7 +89,7 @@ impl OnDevice<'_> {
                     false => Ok(None),
                 };
             }
-            tree => Rc::new(tree?),
+            tree => Arc::new(tree?),
         };
         self.keep_tree(&tree);
         Ok(Some(tree))
@@ -106,7 +107,7 @@ impl OnDevice<'_> {
     pub(crate) fn tree_goal(
         &self,
         view: &View,
-        tree: &Rc<VertexTree>,
+        tree: &Arc<VertexTree>,
         params: &CutParams,
         cancel: &dyn Cancel,
     ) -> Result<TreeGoal, JobError> {
@@ -139,10 +140,8 @@ impl OnDevice<'_> {
     }
 
     /// Caches a tree, whose size grows once its parts are known.
-    pub(crate) fn keep_tree(&self, tree: &Rc<VertexTree>) {
-        self.trees
-            .borrow_mut()
-            .insert(self.key.clone(), tree.device_bytes(), Rc::clone(tree));
+    pub(crate) fn keep_tree(&self, tree: &Arc<VertexTree>) {
+        lock(self.trees).insert(self.key.clone(), tree.device_bytes(), Arc::clone(tree));
     }
 
     /// Measures the error of the surface that [`OnDevice::tree_surface`] made of a view.
@@ -302,7 +301,7 @@ impl OnDevice<'_> {
                 let (params, cut) = target?;
                 return Ok(Decided::Cubes {
                     params,
-                    cut: Rc::new(cut),
+                    cut: Arc::new(cut),
                     can_improve: !tree_first,
                 });
             }

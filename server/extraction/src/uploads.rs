@@ -1,6 +1,6 @@
 //! Uploads of fields to the device, piece by piece between other jobs.
 
-use std::rc::Rc;
+use std::sync::Arc;
 
 use isopeel_kernels::{Error, RectilinearGrid, SampleType, Samples};
 
@@ -75,7 +75,7 @@ impl Workspace {
         if ahead {
             self.ahead.push(key.clone());
         }
-        self.add_volume(key, bytes, Rc::new(volume));
+        self.add_volume(key, bytes, Arc::new(volume));
         Ok(())
     }
 

@@ -1,9 +1,7 @@
 //! A device with its resident volumes, and what earlier edits have made: pyramids, vertex trees, cuts, histograms.
 
-use std::cell::RefCell;
 use std::collections::{HashMap, HashSet};
-use std::rc::Rc;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use isopeel_kernels::{Engine, Error, Pyramid, Upload, VertexTree, Volume};
@@ -19,6 +17,7 @@ use super::host_memory::HostMemory;
 use super::identity::{EngineId, PyramidKey};
 use super::job_error::JobError;
 use super::keys::{HistogramKey, Masking, VolumeKey, view_keys, with_inputs};
+use super::lock::lock;
 use super::memory::WorkspaceMemory;
 use super::observer::{Observer, Unobserved};
 use super::pins::Pins;
@@ -31,7 +30,7 @@ use super::{WorkError, chain};
 const VOLUME_PERCENT: u64 = 50;
 
 /// Cache of vertex trees, by the keys of their pyramids.
-pub(crate) type Trees = Lru<PyramidKey, Rc<VertexTree>>;
+pub(crate) type Trees = Lru<PyramidKey, Arc<VertexTree>>;
 
 /// What a workspace shares with its owner, and its limits.
 pub struct Options {
@@ -68,16 +67,16 @@ impl Default for Options {
 /// A device, the fields that are resident on it, and what earlier edits have made. Data that work uses is reference-counted: it lives until
 /// the work ends, even if other work in a pause evicts it.
 pub struct Workspace {
-    engine: Rc<Engine>,
+    engine: Arc<Engine>,
     pub(crate) id: EngineId,
-    pub(crate) volumes: Lru<VolumeKey, Rc<Volume>>,
+    pub(crate) volumes: Lru<VolumeKey, Arc<Volume>>,
     /// Volumes that were read ahead and are not used yet, the oldest first.
     pub(crate) ahead: Vec<VolumeKey>,
     /// Resident fields that the device has computed from others, by an expression or a mask.
     pub(crate) computed: HashSet<VolumeKey>,
-    pub(crate) pyramids: Lru<PyramidKey, Rc<Pyramid>>,
-    pub(crate) trees: Rc<RefCell<Trees>>,
-    pub(crate) cuts: Rc<RefCell<Cuts>>,
+    pub(crate) pyramids: Lru<PyramidKey, Arc<Pyramid>>,
+    pub(crate) trees: Arc<Mutex<Trees>>,
+    pub(crate) cuts: Arc<Mutex<Cuts>>,
     /// Maximum bytes of cached pyramids, trees, cuts and freed buffers together.
     pub(crate) surface_bytes: u64,
     /// Maximum device time for computing one field.
@@ -111,7 +110,7 @@ impl Workspace {
         engine.limit_idle(shares.idle);
         Self {
             volumes: Lru::new(device.memory_bytes / 100 * VOLUME_PERCENT),
-            engine: Rc::new(engine),
+            engine: Arc::new(engine),
             id: EngineId::new(),
             ahead: Vec::new(),
             computed: HashSet::new(),
@@ -119,8 +118,8 @@ impl Workspace {
             request_time,
             user_times,
             pyramids: Lru::new(shares.pyramids),
-            trees: Rc::new(RefCell::new(Lru::new(shares.trees))),
-            cuts: Rc::new(RefCell::new(Cuts::new(shares.cuts))),
+            trees: Arc::new(Mutex::new(Lru::new(shares.trees))),
+            cuts: Arc::new(Mutex::new(Cuts::new(shares.cuts))),
             histograms,
             pins,
             observer,
@@ -172,8 +171,8 @@ impl Workspace {
             device: self.engine.memory()?,
             volumes: self.volumes.cost() + self.upload_bytes(),
             pyramids: self.pyramids.cost(),
-            trees: self.trees.borrow().cost(),
-            cuts: self.cuts.borrow().cost(),
+            trees: lock(&self.trees).cost(),
+            cuts: lock(&self.cuts).cost(),
             program,
         })
     }
@@ -202,8 +201,8 @@ impl Workspace {
     }
 
     /// Returns the engine for work that pauses, during which nothing of the workspace is borrowed.
-    pub(crate) fn shared_engine(&self) -> Rc<Engine> {
-        Rc::clone(&self.engine)
+    pub(crate) fn shared_engine(&self) -> Arc<Engine> {
+        Arc::clone(&self.engine)
     }
 
     /// Evicts the least recently used volumes that are not pinned, until `bytes` fit beside the rest.
@@ -212,7 +211,7 @@ impl Workspace {
         self.volumes.evict_for(bytes, |key| !pins.holds(key));
     }
 
-    pub(crate) fn add_volume(&mut self, key: VolumeKey, bytes: u64, volume: Rc<Volume>) {
+    pub(crate) fn add_volume(&mut self, key: VolumeKey, bytes: u64, volume: Arc<Volume>) {
         self.volumes.add(key, bytes, volume);
         self.forget_evicted();
     }
@@ -225,7 +224,7 @@ impl Workspace {
 
     /// Returns the bytes of cached pyramids, trees and cuts, without freed buffers.
     pub(crate) fn kept_surface_bytes(&self) -> u64 {
-        self.pyramids.cost() + self.trees.borrow().cost() + self.cuts.borrow().cost()
+        self.pyramids.cost() + lock(&self.trees).cost() + lock(&self.cuts).cost()
     }
 
     /// Fills in isovalue and feature range from cached histograms. If any is missing, returns an error that names all missing ones, so that
@@ -306,7 +305,7 @@ impl Workspace {
     ) -> Result<FeatureFields, WorkError> {
         FeatureFields::new(feature, |name| {
             let field = self.volumes.peek(&VolumeKey::new(volume, name, padded));
-            field.map(Rc::clone).ok_or(WorkError::Stopped)
+            field.map(Arc::clone).ok_or(WorkError::Stopped)
         })
     }
 
@@ -349,7 +348,7 @@ impl Workspace {
 
     /// Frees all cached pyramids, trees and cuts, and all volumes except these. Returns false if there was nothing to free.
     pub(crate) fn free_all_but(&mut self, keys: &[VolumeKey]) -> bool {
-        let (mut trees, mut cuts) = (self.trees.borrow_mut(), self.cuts.borrow_mut());
+        let (mut trees, mut cuts) = (lock(&self.trees), lock(&self.cuts));
         let (before, cut_bytes) = (
             self.volumes.entries() + self.pyramids.entries() + trees.entries(),
             cuts.cost(),
@@ -367,3 +366,9 @@ impl Workspace {
         freed > 0 || cut_bytes > 0
     }
 }
+
+/// A workspace may move to another thread.
+const _: () = {
+    const fn is_send<T: Send>() {}
+    is_send::<Workspace>();
+};
