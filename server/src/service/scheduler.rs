@@ -123,6 +123,9 @@ pub(super) trait Job: Sized {
     }
 }
 
+/// Called with the state after a job.
+type AfterJob<S> = Box<dyn Fn(&S)>;
+
 /// The waiting jobs.
 pub(super) struct Queue<J: Job> {
     waiting: mpsc::Receiver<J>,
@@ -130,7 +133,7 @@ pub(super) struct Queue<J: Job> {
     /// There are few, because [`Permits`] admits one such job of each length.
     deferred: Vec<J>,
     /// Called after each job.
-    after: Box<dyn Fn(&J::State)>,
+    after: AfterJob<J::State>,
 }
 
 impl<J: Job> Queue<J> {
@@ -233,11 +236,13 @@ mod tests {
     /// Log of the jobs that ran, in order.
     type Log = Vec<String>;
 
+    type Script = Box<dyn FnOnce(&mut Log, &mut Queue<Scripted>) + Send>;
+
     /// A job that runs a closure.
     struct Scripted {
         length: Length,
         token: CancellationToken,
-        run: Box<dyn FnOnce(&mut Log, &mut Queue<Scripted>) + Send>,
+        run: Script,
     }
 
     impl Job for Scripted {
