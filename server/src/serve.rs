@@ -31,7 +31,7 @@ use crate::access::{Access, AllowedOrigin, content_security_policy};
 use crate::jobs::{Jobs, Limits, OpenError, StateFolder};
 use crate::metrics;
 use crate::rest::{self, ApiState, SpoolFolder};
-use crate::service::{DeviceWorker, Extractor};
+use crate::service::DeviceWorker;
 use crate::stream::{self, Deadlines, Live, LiveOptions, StreamState};
 use crate::uploads::Uploads;
 pub use connections::ConnectionLimits;
@@ -149,16 +149,16 @@ pub async fn run(
     let stop = CancellationToken::new();
     // Ends the viewers' tasks on every return path of this function.
     let _stop_viewers = stop.clone().drop_guard();
-    let extractor = Extractor::new(worker.clone(), ceiling_triangles);
-    let backend = Live::new(catalog.clone(), extractor.clone(), live);
+    let worker = worker.with_ceiling(ceiling_triangles);
+    let backend = Live::new(catalog.clone(), worker.clone(), live);
     let viewers = StreamState::new(backend, deadlines, stop.clone()).with_shared_bytes(live.shared_bytes);
     let jobs = match jobs {
         Some((folder, limits)) => {
-            Some(Jobs::open(folder, limits, catalog.clone(), extractor.clone(), stop.clone()).await?)
+            Some(Jobs::open(folder, limits, catalog.clone(), worker.clone(), stop.clone()).await?)
         }
         None => None,
     };
-    let api = ApiState::new(catalog, extractor, access.clone()).with_jobs(jobs.clone());
+    let api = ApiState::new(catalog, worker.clone(), access.clone()).with_jobs(jobs.clone());
     let api = (api.with_uploads(uploads.clone()).with_spool(spool)).with_draining(is_draining);
     let proxies = Arc::clone(access.proxies());
     let _metrics = serve_metrics(metrics_listener, api.clone(), limits, stop.clone());

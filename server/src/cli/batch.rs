@@ -22,7 +22,7 @@ use crate::cli::device::DeviceArgs;
 use crate::export::Format;
 use crate::jobs::{JobError, OpenError, StateFolderError};
 use crate::private_folder::FolderAccess;
-use crate::service::{DeviceWorker, Extractor};
+use crate::service::DeviceWorker;
 use steps::Steps;
 
 /// Arguments of `isopeel batch`.
@@ -174,9 +174,9 @@ impl Args {
     }
 
     /// Starts the device's thread.
-    fn extractor(&self, types: Vec<SampleType>) -> io::Result<Extractor> {
+    fn worker(&self, types: Vec<SampleType>) -> io::Result<DeviceWorker> {
         let options = self.device.options(types, |text| tracing::info!("{text}"));
-        Ok(Extractor::new(DeviceWorker::start_with(options)?, u64::MAX))
+        Ok(DeviceWorker::start_with(options)?)
     }
 }
 

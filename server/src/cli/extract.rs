@@ -18,7 +18,7 @@ use crate::cli::output::{Output, OutputError, STDOUT};
 use crate::cli::stdin::InputPath;
 use crate::cli::surface::{SurfaceArgs, TransferFunctionError};
 use crate::export::{FileRequest, FileSurface, Format, MadeFile, MadeSurface, MakeError, OtherVolumes, why_empty};
-use crate::service::{DeviceWorker, Extractor};
+use crate::service::DeviceWorker;
 
 /// Arguments of `isopeel extract`.
 #[derive(Debug, clap::Args)]
@@ -161,11 +161,11 @@ async fn extract(args: &Args, work: Work, token: CancellationToken) -> Result<()
         () = token.cancelled() => return Err(ExtractError::Interrupted),
     };
     progress.say(&format!("extracting on {}", device.name.trim()));
-    let extractor = Extractor::new(worker, u64::MAX);
+
     let (mut made, mut counted) = (Vec::new(), Vec::new());
     for surface in surfaces {
         let work = request.options.work(&surface.view);
-        let extracted = extractor.extract_with(&surface.volume, &surface.view, work, &token);
+        let extracted = worker.extract_with(&surface.volume, &surface.view, work, &token);
         let extraction = extracted.await?;
         let statistics = extraction.statistics(&surface.volume, &device.name);
         if let (None, None, Some(iso)) = (
@@ -181,7 +181,7 @@ async fn extract(args: &Args, work: Work, token: CancellationToken) -> Result<()
         for line in said(args, &statistics) {
             eprintln!("isopeel: {line}");
         }
-        if let Some(why) = why_empty(&extractor, &surface.volume, &extraction.view, &statistics).await? {
+        if let Some(why) = why_empty(&worker, &surface.volume, &extraction.view, &statistics).await? {
             if output.is_some() && !args.surface.allow_empty {
                 print_statistics(args, statistics)?;
                 return Err(ExtractError::Empty(why));
@@ -189,7 +189,7 @@ async fn extract(args: &Args, work: Work, token: CancellationToken) -> Result<()
             eprintln!("isopeel: {why}");
         }
         if output.is_some() {
-            made.push(MadeSurface::of(&extractor, extraction, surface, &device.name, &token).await?);
+            made.push(MadeSurface::of(&worker, extraction, surface, &device.name, &token).await?);
         } else {
             counted.push(statistics);
         }

@@ -5,14 +5,14 @@ use isopeel_kernels::Histogram;
 use isopeel_view::{FeatureName, View};
 use isopeel_volumes::VolumeStep;
 
-use crate::service::Extractor;
+use crate::service::DeviceWorker;
 
 /// Returns why the surface of a resolved view has no triangles; `None` if it has some.
 ///
 /// # Errors
 /// The device's, which counts the field's values.
 pub(crate) async fn why_empty(
-    extractor: &Extractor,
+    worker: &DeviceWorker,
     volume: &VolumeStep,
     view: &View,
     statistics: &ExtractionStatistics,
@@ -23,7 +23,7 @@ pub(crate) async fn why_empty(
     if let Some(why) = all_removed(statistics) {
         return Ok(Some(why));
     }
-    let values = extractor.worker().histogram(volume, &view.field, &FeatureName::None);
+    let values = worker.histogram(volume, &view.field, &FeatureName::None);
     Ok(Some(no_crossing(view, &values.await?)))
 }
 

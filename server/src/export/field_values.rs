@@ -7,7 +7,7 @@ use isopeel_mesh::mesh::FieldValues;
 use isopeel_volumes::{Field, VolumeStep};
 use tokio_util::sync::CancellationToken;
 
-use crate::service::Extractor;
+use crate::service::DeviceWorker;
 
 /// A field, or an expression over fields, with the samples of a time step.
 pub struct FieldSamples {
@@ -24,7 +24,7 @@ impl FieldSamples {
     /// # Errors
     /// Errors of the device, or of reading a file.
     pub async fn of(
-        extractor: &Extractor,
+        worker: &DeviceWorker,
         volume: &VolumeStep,
         names: &[String],
         token: &CancellationToken,
@@ -34,7 +34,7 @@ impl FieldSamples {
             let Some(field) = fields::field_or_computed(volume.dataset(), name) else {
                 continue;
             };
-            let (pieces, planes) = extractor.worker().samples(volume, name, token).await?;
+            let (pieces, planes) = worker.samples(volume, name, token).await?;
             let dims = volume.dataset().geometry.dims;
             found.push(Self {
                 field,

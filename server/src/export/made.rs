@@ -20,7 +20,7 @@ use super::{
     extras, why_empty,
 };
 use crate::pool::{self, Panicked};
-use crate::service::Extractor;
+use crate::service::DeviceWorker;
 
 /// A file that was made, but not written yet.
 pub struct MadeFile {
@@ -69,24 +69,24 @@ impl From<RepairError> for MakeError {
 /// # Errors
 /// [`MakeError`].
 pub async fn make(
-    extractor: &Extractor,
+    worker: &DeviceWorker,
     volume: &VolumeStep,
     others: &OtherVolumes,
     request: &FileRequest,
     token: &CancellationToken,
 ) -> Result<MadeFile, MakeError> {
-    let device = extractor.worker().ready().await?;
+    let device = worker.ready().await?;
     let mut made = Vec::new();
     for surface in request.surfaces(volume, others)? {
         let work = request.options.work(&surface.view);
-        let extracted = extractor.extract_with(&surface.volume, &surface.view, work, token);
+        let extracted = worker.extract_with(&surface.volume, &surface.view, work, token);
         let extraction = extracted.await?;
         if !request.options.allow_empty && extraction.surface.statistics.triangles == 0 {
             let statistics = extraction.statistics(&surface.volume, &device.name);
-            let why = why_empty(extractor, &surface.volume, &extraction.view, &statistics).await?;
+            let why = why_empty(worker, &surface.volume, &extraction.view, &statistics).await?;
             return Err(MakeError::Empty(why.unwrap_or_default()));
         }
-        made.push(MadeSurface::of(extractor, extraction, surface, &device.name, token).await?);
+        made.push(MadeSurface::of(worker, extraction, surface, &device.name, token).await?);
     }
     Ok(MadeFile::new(volume, request, made))
 }
@@ -296,13 +296,13 @@ impl MadeSurface {
     /// # Errors
     /// As [`MadeSurface::new`], and the device's.
     pub async fn of(
-        extractor: &Extractor,
+        worker: &DeviceWorker,
         extraction: Extraction,
         asked: FileSurface,
         device: &str,
         token: &CancellationToken,
     ) -> Result<Self, MakeError> {
-        let fields = FieldSamples::of(extractor, &asked.volume, asked.values(), token).await?;
+        let fields = FieldSamples::of(worker, &asked.volume, asked.values(), token).await?;
         let (token, device) = (token.clone(), device.to_owned());
         let mesh = move || Self::new(extraction, fields, &asked, &device, &|| token.is_cancelled());
         pool::run_export(mesh).await?

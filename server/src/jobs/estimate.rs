@@ -10,7 +10,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::state::Estimate;
 use crate::export::{FileRequest, OtherVolumes};
-use crate::service::Extractor;
+use crate::service::DeviceWorker;
 
 /// Extractions whose surfaces are counted: the first, the last and the one in the middle. Each may read a time step.
 const SAMPLES: usize = 3;
@@ -25,7 +25,7 @@ const SECONDS_PER_TRIANGLE: f64 = 2e-6;
 /// # Errors
 /// The volume cannot be read, or the device does not work.
 pub(super) async fn estimate(
-    extractor: &Extractor,
+    worker: &DeviceWorker,
     dataset: &Arc<Dataset>,
     extractions: &[(FileRequest, View)],
     token: &CancellationToken,
@@ -37,7 +37,7 @@ pub(super) async fn estimate(
         let volume = VolumeStep::new(Arc::clone(dataset), request.step)?;
         let surfaces = request.surfaces(&volume, &OtherVolumes::new());
         for surface in surfaces.map_err(WorkError::Edit)? {
-            let count = extractor.count(&surface.volume, &surface.view, token).await?;
+            let count = worker.count(&surface.volume, &surface.view, token).await?;
             triangles += within_budget(count.triangles, &surface.view) as f64;
             seconds += count.wall.as_secs_f64() + count.triangles as f64 * SECONDS_PER_TRIANGLE;
         }

@@ -13,7 +13,7 @@ use super::results::ResultFile;
 use super::state::Cause;
 use super::store::work::Work;
 use crate::export::{self, ExportError, MadeFile, MakeError, OtherVolumes};
-use crate::service::Extractor;
+use crate::service::DeviceWorker;
 
 /// Makes files.
 #[async_trait]
@@ -47,15 +47,15 @@ type Hashed = Arc<Mutex<HashMap<String, String>>>;
 /// Makes files of the volumes of a server.
 pub(super) struct DeviceMaker {
     catalog: SharedCatalog,
-    extractor: Extractor,
+    worker: DeviceWorker,
     hashed: Hashed,
 }
 
 impl DeviceMaker {
-    pub(super) fn new(catalog: SharedCatalog, extractor: Extractor) -> Self {
+    pub(super) fn new(catalog: SharedCatalog, worker: DeviceWorker) -> Self {
         Self {
             catalog,
-            extractor,
+            worker,
             hashed: Arc::default(),
         }
     }
@@ -113,7 +113,7 @@ impl Maker for DeviceMaker {
         };
         let volume =
             VolumeStep::new(dataset, work.request.step).map_err(|error| refused("unknown-step", error.to_string()))?;
-        let made = export::make(&self.extractor, &volume, &OtherVolumes::new(), &work.request, token).await;
+        let made = export::make(&self.worker, &volume, &OtherVolumes::new(), &work.request, token).await;
         Ok(Box::new(made.map_err(failure)?))
     }
 

@@ -45,7 +45,7 @@ pub use store::requests::ResultInfo;
 /// Owner of jobs that are made without a server.
 pub use crate::access::OPERATOR;
 use crate::export::{FileRequest, OtherVolumes};
-use crate::service::Extractor;
+use crate::service::DeviceWorker;
 use estimate::{EstimateError, estimate};
 use maker::DeviceMaker;
 use results::Results;
@@ -111,7 +111,7 @@ struct Shared {
     store: Store,
     results: Results,
     catalog: SharedCatalog,
-    extractor: Extractor,
+    worker: DeviceWorker,
     seen: SeenFiles,
     limits: Limits,
     submits: Semaphore,
@@ -129,7 +129,7 @@ impl Jobs {
         folder: StateFolder,
         limits: Limits,
         catalog: SharedCatalog,
-        extractor: Extractor,
+        worker: DeviceWorker,
         stop: CancellationToken,
     ) -> Result<Self, OpenError> {
         let path = folder.path().to_owned();
@@ -159,7 +159,7 @@ impl Jobs {
             store,
             results,
             catalog,
-            extractor,
+            worker,
             seen,
             limits,
             submits: Semaphore::new(CONCURRENT_SUBMITS),
@@ -173,13 +173,13 @@ impl Jobs {
         let shared = &self.0;
         // Waits for the device, so that no attempt is spent while it is being opened.
         tokio::select! {
-            _ = shared.extractor.worker().ready() => {}
+            _ = shared.worker.ready() => {}
             () = shared.stop.cancelled() => return,
         }
         let runner = Runner {
             store: shared.store.clone(),
             results: shared.results.clone(),
-            maker: DeviceMaker::new(shared.catalog.clone(), shared.extractor.clone()),
+            maker: DeviceMaker::new(shared.catalog.clone(), shared.worker.clone()),
             signals: Arc::clone(&shared.signals),
             stop: shared.stop.clone(),
             quota_bytes: shared.limits.quota_bytes,
@@ -211,7 +211,7 @@ impl Jobs {
         // Dropped with this future when the client disconnects, which cancels the work.
         let token = CancellationToken::new();
         let _cancel = token.clone().drop_guard();
-        let estimated = estimate(&shared.extractor, dataset, &extractions, &token).await;
+        let estimated = estimate(&shared.worker, dataset, &extractions, &token).await;
         let estimate = estimated.map_err(|error| match error {
             EstimateError::Work(error) => JobError::Work(error),
             EstimateError::Step(source) => JobError::Step { extraction: 0, source },

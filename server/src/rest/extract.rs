@@ -30,7 +30,7 @@ use crate::access::Identity;
 use crate::export::{self, FileDigest, FileRequest, MadeFile, OtherVolumes, merged_schema};
 use crate::pool;
 use crate::problem::{ApiError, Problem};
-use crate::service::Extractor;
+use crate::service::DeviceWorker;
 pub use spool::SpoolFolder;
 
 /// Header that carries the statistics of `isopeel extract --stats`, JSON in ASCII.
@@ -181,8 +181,8 @@ impl Made {
         // token and ends.
         let token = CancellationToken::new();
         let _cancel = token.clone().drop_guard();
-        let extractor = state.extractor.charged_to(who.limited_user());
-        let making = Self::make(extractor, source, request, token, permit);
+        let worker = state.worker.charged_to(who.limited_user());
+        let making = Self::make(worker, source, request, token, permit);
         let (making, spool) = (tokio::spawn(making), state.spool);
         let made = tokio::time::timeout(EXPORT_DEADLINE, making).await.map_err(|_| {
             let deadline = EXPORT_DEADLINE.as_secs();
@@ -200,13 +200,13 @@ impl Made {
     }
 
     async fn make(
-        extractor: Extractor,
+        worker: DeviceWorker,
         source: Source,
         request: FileRequest,
         token: CancellationToken,
         permit: ExportPermit,
     ) -> Result<(MadeFile, FileDigest, ExportPermit), ApiError> {
-        let file = export::make(&extractor, &source.volume, &source.others, &request, &token).await?;
+        let file = export::make(&worker, &source.volume, &source.others, &request, &token).await?;
         let digested = pool::run_export(move || {
             let digest = file.digest(&|| token.is_cancelled())?;
             Ok::<_, export::ExportError>((file, digest))

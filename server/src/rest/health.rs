@@ -42,8 +42,8 @@ pub async fn readyz(State(state): State<ApiState>) -> Result<&'static str, ApiEr
             "the server is about to end, and answers those who have found it",
         ));
     }
-    match state.extractor.worker().state() {
-        DeviceState::Ready(_) if state.extractor.worker().answers_within(ANSWER_LIMIT).await => Ok("ready\n"),
+    match state.worker.state() {
+        DeviceState::Ready(_) if state.worker.answers_within(ANSWER_LIMIT).await => Ok("ready\n"),
         DeviceState::Ready(_) => Err(ApiError::busy(format!(
             "the device has not answered for {} s: its driver is stuck, or it has too much to do",
             ANSWER_LIMIT.as_secs()
@@ -69,5 +69,5 @@ pub async fn readyz(State(state): State<ApiState>) -> Result<&'static str, ApiEr
     ),
 )]
 pub async fn memory(State(state): State<ApiState>) -> Result<Json<MemoryUse>, ApiError> {
-    Ok(Json(state.extractor.worker().memory().await?))
+    Ok(Json(state.worker.memory().await?))
 }

@@ -26,7 +26,7 @@ const CONTENT_TYPE: &str = "text/plain; version=0.0.4; charset=utf-8";
     ),
 )]
 pub async fn show(State(state): State<ApiState>) -> Result<Response, ApiError> {
-    let worker = state.extractor.worker();
+    let worker = state.worker;
     metrics::queued(worker.queued());
     metrics::exports(state.exports.running());
     // A device that is still being opened, or that failed to open, has no memory to report.

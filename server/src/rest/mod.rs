@@ -57,7 +57,7 @@ pub use volumes::{UnreadablePath, VolumeSummary};
 use crate::access::{Access, SeatLimits, Seats};
 use crate::jobs::Jobs;
 use crate::problem::{ApiError, Problem};
-use crate::service::Extractor;
+use crate::service::DeviceWorker;
 use crate::uploads::Uploads;
 use export_queue::{ExportQueue, QueueLimits};
 use extract::address::KnownTags;
@@ -111,7 +111,7 @@ const EVENT_STREAMS: SeatLimits = SeatLimits {
 #[derive(Clone)]
 pub struct ApiState {
     catalog: SharedCatalog,
-    extractor: Extractor,
+    worker: DeviceWorker,
     exports: ExportQueue,
     known_tags: KnownTags,
     slices: Seats,
@@ -129,10 +129,10 @@ pub struct ApiState {
 
 impl ApiState {
     /// Serves the volumes of a catalog, and surfaces of them, to users whom `access` authorizes.
-    pub fn new(catalog: SharedCatalog, extractor: Extractor, access: Access) -> Self {
+    pub fn new(catalog: SharedCatalog, worker: DeviceWorker, access: Access) -> Self {
         Self {
             catalog,
-            extractor,
+            worker,
             exports: ExportQueue::new(EXPORTS),
             known_tags: KnownTags::default(),
             slices: Seats::new(SLICES),

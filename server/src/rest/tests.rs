@@ -71,7 +71,7 @@ fn state() -> ApiState {
     let worker = DeviceWorker::start(Some("a device that is nowhere".into())).unwrap();
     {
         let access = Access::new(([127, 0, 0, 1], 8417).into(), &[], &[]);
-        ApiState::new(catalog().into(), Extractor::new(worker, u64::MAX), access)
+        ApiState::new(catalog().into(), worker, access)
     }
 }
 
@@ -365,7 +365,7 @@ async fn without_a_device_the_server_lives_and_says_what_it_cannot_do() {
     assert_eq!(response.status(), StatusCode::OK);
 
     let state = state();
-    assert!(state.extractor.worker().ready().await.is_err());
+    assert!(state.worker.ready().await.is_err());
     let request = Request::get("/readyz").body(Body::empty()).unwrap();
     let response = router(state.clone())
         .layer(Extension(Identity::without_token()))

@@ -201,7 +201,7 @@ impl ApiState {
 
     /// Returns the device's worker. Its time is charged to the user, unless they are exempt from limits.
     pub(super) fn worker_for(&self, who: &Identity) -> DeviceWorker {
-        self.extractor.worker().charged_to(who.limited_user())
+        self.worker.charged_to(who.limited_user())
     }
 
     /// Returns the answer to work on these volumes that failed. If one of them was removed meanwhile, the answer is that it is unknown. If

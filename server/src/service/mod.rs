@@ -1,18 +1,16 @@
 //! The workspace of a device as a service: many callers share it, and wait for each other in a queue.
 //!
 //! - `worker`: the bounded queue to the thread that owns the device; `device_thread` opens the device, and reopens it after it was lost;
-//!   `attempts` runs a job until it has a result; `scheduler` runs other jobs when a long job pauses. `observed`: state for monitoring.
+//!   `job` is a request in the queue, `attempts` repeats a request until it has a result; `scheduler` runs other jobs when a long job pauses. `observed`: state for monitoring.
 //! - `loader` reads fields and sends them to the device; `loading` is their progress; `pins`: callers that wait until volumes can be pinned.
-//!   `ahead` reads time steps before a viewer reaches them, beside those that viewers have open (`open_steps`). `release` frees them.
-//! - `views`: counts, steps, final surfaces and errors. `questions`, `slices`, `host_space`: short jobs. `histograms` and `overviews` are made
-//!   a slice at a time between other jobs; `unfinished` and `overview_cache` share them between callers.
-//! - `extractor`: budgets and limits on top; other layers extract through it.
+//!   `ahead` reads time steps before a viewer reaches them, beside those that viewers have open (`open_steps`).
+//! - `surfaces`: counts, steps, final surfaces and errors, within budgets and limits. `slices`: samples. `histograms` and `overviews` are made a
+//!   slice at a time between other jobs; `unfinished` and `overview_cache` share them between callers.
 //! - `volume_info`: the description of a volume.
 
 mod ahead;
 mod attempts;
 mod device_thread;
-mod extractor;
 mod histograms;
 mod job;
 mod loader;
@@ -24,13 +22,12 @@ mod overviews;
 mod pins;
 mod scheduler;
 mod slices;
+mod surfaces;
 mod unfinished;
-mod views;
 mod volume_info;
 mod worker;
 
 pub use device_thread::{Choice, ChoiceError, DeviceChooser, DeviceOptions, DeviceState, Preparation, StateReporter};
-pub use extractor::Extractor;
 pub use loading::{OpeningProgress, OpeningWatch};
 pub use open_steps::OpenStepGuard;
 pub use volume_info::{

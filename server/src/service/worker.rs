@@ -56,6 +56,8 @@ pub struct DeviceWorker {
     pub(super) watch: Option<Arc<OpeningWatch>>,
     /// The user who is charged for computing fields with this handle.
     pub(super) user: Option<Arc<str>>,
+    /// Maximum triangles of a surface.
+    pub(super) ceiling: u64,
 }
 
 pub(super) struct Shared {
@@ -161,6 +163,7 @@ impl DeviceWorker {
             }),
             watch: None,
             user: None,
+            ceiling: u64::MAX,
         })
     }
 
@@ -169,6 +172,15 @@ impl DeviceWorker {
     pub fn charged_to(&self, user: Option<&str>) -> Self {
         Self {
             user: user.map(Arc::from),
+            ..self.clone()
+        }
+    }
+
+    /// Returns a handle that refuses surfaces of more triangles; `u64::MAX`: no limit.
+    #[must_use]
+    pub fn with_ceiling(&self, triangles: u64) -> Self {
+        Self {
+            ceiling: triangles,
             ..self.clone()
         }
     }

@@ -15,7 +15,7 @@ use tokio_util::sync::CancellationToken;
 
 use crate::access::Identity;
 use crate::error::chain;
-use crate::service::{DeviceState, DeviceWorker, Extractor, OpenStepGuard, OpeningProgress, OpeningWatch, describe};
+use crate::service::{DeviceState, DeviceWorker, OpenStepGuard, OpeningProgress, OpeningWatch, describe};
 
 /// Default bytes of chunks that are cached for viewers of equal views: some dozen surfaces of a million triangles.
 pub const SHARED_BYTES: u64 = 256 << 20;
@@ -147,7 +147,7 @@ pub struct Opening {
 #[derive(Clone)]
 pub struct Live {
     catalog: SharedCatalog,
-    extractor: Extractor,
+    worker: DeviceWorker,
     options: LiveOptions,
 }
 
@@ -175,10 +175,10 @@ impl Default for LiveOptions {
 
 impl Live {
     /// Offers the volumes of a catalog and surfaces of them.
-    pub fn new(catalog: SharedCatalog, extractor: Extractor, options: LiveOptions) -> Self {
+    pub fn new(catalog: SharedCatalog, worker: DeviceWorker, options: LiveOptions) -> Self {
         Self {
             catalog,
-            extractor,
+            worker,
             options,
         }
     }
@@ -191,7 +191,7 @@ impl Backend for Live {
 
     fn used_by(self, who: &Identity) -> Self {
         Self {
-            extractor: self.extractor.charged_to(who.limited_user()),
+            worker: self.worker.charged_to(who.limited_user()),
             ..self
         }
     }
@@ -209,10 +209,10 @@ impl Backend for Live {
     ) -> Result<Opening, WorkError> {
         let open = async {
             let device = tokio::select! {
-                ready = self.extractor.worker().ready() => ready?,
-                never = report_device(self.extractor.worker().states(), progress) => never,
+                ready = self.worker.ready() => ready?,
+                never = report_device(self.worker.states(), progress) => never,
             };
-            let (worker, watch) = self.extractor.worker().with_watch(volume, view).await?;
+            let (worker, watch) = self.worker.with_watch(volume, view).await?;
             let (view, volume) = tokio::select! {
                 read = read(&worker, volume, view, token) => read?,
                 never = report(&watch, progress) => never,
@@ -233,23 +233,20 @@ impl Backend for Live {
 
     async fn describe(&self, volume: &VolumeStep, token: &CancellationToken) -> Result<Box<RawValue>, WorkError> {
         tokio::select! {
-            description = described(self.extractor.worker(), volume) => description,
+            description = described(&self.worker, volume) => description,
             () = token.cancelled() => Err(WorkError::Cancelled),
         }
     }
 
     async fn read_ahead(&self, volume: &VolumeStep, views: &[View], token: &CancellationToken) {
-        let read = self
-            .extractor
-            .worker()
-            .read_ahead(volume, views, self.options.ahead_bytes, token);
+        let read = self.worker.read_ahead(volume, views, self.options.ahead_bytes, token);
         if let Err(error) = read.await {
             tracing::debug!(error = chain(&error), "a time step could not be read ahead");
         }
     }
 
     fn hold(&self, volume: &VolumeStep) -> OpenStepGuard {
-        self.extractor.worker().hold(volume)
+        self.worker.hold(volume)
     }
 
     fn watches(&self) -> bool {
@@ -257,15 +254,15 @@ impl Backend for Live {
     }
 
     fn engine(&self) -> EngineId {
-        self.extractor.worker().engine()
+        self.worker.engine()
     }
 
     async fn resolve(&self, volume: &VolumeStep, view: &View, token: &CancellationToken) -> Result<View, WorkError> {
-        self.extractor.worker().prepare(volume, view, token).await
+        self.worker.prepare(volume, view, token).await
     }
 
     async fn count(&self, volume: &VolumeStep, view: &View, token: &CancellationToken) -> Result<FullCount, WorkError> {
-        self.extractor.count(volume, view, token).await
+        self.worker.count(volume, view, token).await
     }
 
     async fn refine(
@@ -275,7 +272,7 @@ impl Backend for Live {
         step: Step,
         token: &CancellationToken,
     ) -> Result<Refinement, WorkError> {
-        self.extractor.refine(volume, view, step, token).await
+        self.worker.refine(volume, view, step, token).await
     }
 
     async fn improve(
@@ -284,7 +281,7 @@ impl Backend for Live {
         view: &View,
         token: &CancellationToken,
     ) -> Result<Option<Refinement>, WorkError> {
-        self.extractor.improve(volume, view, token).await
+        self.worker.improve(volume, view, token).await
     }
 
     async fn measure(
@@ -293,7 +290,7 @@ impl Backend for Live {
         view: &View,
         token: &CancellationToken,
     ) -> Result<Option<Measurement>, WorkError> {
-        self.extractor.measure(volume, view, token).await
+        self.worker.measure(volume, view, token).await
     }
 
     async fn answer(
@@ -303,7 +300,7 @@ impl Backend for Live {
         question: Question,
         token: &CancellationToken,
     ) -> Result<Answer, WorkError> {
-        self.extractor.worker().answer(volume, shown, question, token).await
+        self.worker.answer(volume, shown, question, token).await
     }
 }
 

@@ -21,7 +21,7 @@ async fn expressions_are_fields_and_features() {
     let token = CancellationToken::new();
     let extract = async |json: &str| {
         let view = view(&data, json);
-        let made = worker.extract(&step, &view, u64::MAX, &token).await.expect("a surface");
+        let made = worker.extract(&step, &view, &token).await.expect("a surface");
         (
             made.surface.statistics.full_triangles,
             made.surface.statistics.triangles,
@@ -162,7 +162,7 @@ async fn expressions_turn_vectors_to_the_grid() {
             let json = format!(
                 r#"{{"field": "value", "iso": 11.25, "beta": 0.3, "alpha": 0.5, "feature": "{feature}({components})"}}"#
             );
-            let made = worker.extract(&step, &view(&data, &json), u64::MAX, &token).await;
+            let made = worker.extract(&step, &view(&data, &json), &token).await;
             made.expect("a surface").surface.statistics.triangles
         };
         assert_eq!(

@@ -68,7 +68,7 @@ async fn triangles_go_near_what_a_distance_is_to() {
             r##"{{"iso": 11.25, "beta": 0.5, "alpha": {alpha}, "feature": "distance(labels==3)", "featureRange": [5, 27],
             "transferFunction": {{"points": [{{"x": 0, "importance": 1, "color": "#000000"}}, {{"x": 1, "importance": 0, "color": "#ffffff"}}]}}}}"##
         );
-        let made = worker.extract(&step, &view(&data, &json), u64::MAX, &token).await;
+        let made = worker.extract(&step, &view(&data, &json), &token).await;
         let regions = made.expect("a surface").surface.regions;
         let x = |region: &isopeel_kernels::Region| -> Vec<f32> {
             let of = |v: &isopeel_kernels::Vertex| {
@@ -108,7 +108,7 @@ async fn distances_are_fields_like_others() {
     // The isosurface of the same values in a file, on the device, and on the host if it is capped or masked.
     let made = async |field: &str, rest: &str| {
         let json = format!(r#"{{"field": "{field}", "iso": 10.5, "beta": 0.02{rest}}}"#);
-        worker.extract(&step, &view(&data, &json), u64::MAX, &token).await
+        worker.extract(&step, &view(&data, &json), &token).await
     };
     for rest in ["", r#", "cap": true"#, r#", "mask": "value>9""#] {
         let [found, expected] = [

@@ -149,10 +149,10 @@ async fn a_field_is_read_once_for_all_callers() {
     // Four at once, and a histogram beside them.
     let none = FeatureName::None;
     let (a, b, c, d, histogram) = tokio::join!(
-        worker.extract(&volume, &view, u64::MAX, &token),
-        worker.extract(&volume, &view, u64::MAX, &token),
-        worker.extract(&volume, &view, u64::MAX, &token),
-        worker.extract(&volume, &view, u64::MAX, &token),
+        worker.extract(&volume, &view, &token),
+        worker.extract(&volume, &view, &token),
+        worker.extract(&volume, &view, &token),
+        worker.extract(&volume, &view, &token),
         worker.histogram(&volume, "shown", &none),
     );
     let a = a.expect("extracts");
@@ -172,7 +172,7 @@ async fn a_field_is_read_once_for_all_callers() {
 
     // Another step is another volume.
     let later = VolumeStep::new(Arc::clone(&dataset), 1).expect("a step");
-    let moved = worker.extract(&later, &view, u64::MAX, &token).await.expect("extracts");
+    let moved = worker.extract(&later, &view, &token).await.expect("extracts");
     assert_ne!(moved.surface.regions, a.surface.regions);
     assert_eq!(shown.loads.load(Ordering::Relaxed), 2);
     assert!(matches!(worker.state(), DeviceState::Ready(_)));
@@ -275,12 +275,7 @@ async fn what_goes_wrong_is_told_apart() {
     let token = CancellationToken::new();
 
     let error = worker
-        .extract(
-            &volume,
-            &view(&dataset, r#"{"iso":9,"field":"broken"}"#),
-            u64::MAX,
-            &token,
-        )
+        .extract(&volume, &view(&dataset, r#"{"iso":9,"field":"broken"}"#), &token)
         .await
         .expect_err("a broken file");
     assert_eq!(error.code(), "unreadable-volume");
@@ -297,14 +292,11 @@ async fn what_goes_wrong_is_told_apart() {
 
     token.cancel();
     let good_view = view(&dataset, r#"{"iso":9}"#);
-    let error = worker.extract(&volume, &good_view, u64::MAX, &token).await;
+    let error = worker.extract(&volume, &good_view, &token).await;
     assert!(matches!(error, Err(WorkError::Cancelled)));
     // The worker goes on.
     let token = CancellationToken::new();
-    worker
-        .extract(&volume, &good_view, u64::MAX, &token)
-        .await
-        .expect("extracts");
+    worker.extract(&volume, &good_view, &token).await.expect("extracts");
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -325,7 +317,7 @@ async fn what_no_device_holds_is_refused_before_it_is_read() {
     let token = CancellationToken::new();
     let histogram = worker.histogram(&volume, "large", &FeatureName::None).await;
     assert!(matches!(histogram, Err(WorkError::TooLarge { .. })), "{histogram:?}");
-    let surface = worker.extract(&volume, &view(&large, "{}"), u64::MAX, &token).await;
+    let surface = worker.extract(&volume, &view(&large, "{}"), &token).await;
     assert!(matches!(surface, Err(WorkError::TooLarge { .. })), "{surface:?}");
     assert_eq!(source.loads.load(Ordering::Relaxed), 0);
 }
@@ -371,7 +363,7 @@ async fn a_step_that_was_read_ahead_is_not_read_again() {
         .await
         .expect("it is there");
     assert_eq!(reads(), 1, "the field that the view uses");
-    worker.extract(&next, &view, u64::MAX, &token).await.expect("extracts");
+    worker.extract(&next, &view, &token).await.expect("extracts");
     assert_eq!(reads(), 1);
     // With a budget of one field, the other field of this step evicts the field that was read ahead and not used, not the one in use.
     worker
@@ -387,8 +379,8 @@ async fn a_step_that_was_read_ahead_is_not_read_again() {
         .await
         .expect("reads");
     assert_eq!(reads(), 3);
-    worker.extract(&next, &view, u64::MAX, &token).await.expect("extracts");
+    worker.extract(&next, &view, &token).await.expect("extracts");
     assert_eq!(reads(), 3);
-    worker.extract(&now, &view, u64::MAX, &token).await.expect("extracts");
+    worker.extract(&now, &view, &token).await.expect("extracts");
     assert_eq!(reads(), 4, "the first one had to go");
 }

@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 
-use isopeel::service::{DeviceWorker, Extractor};
+use isopeel::service::DeviceWorker;
 use isopeel_extraction::{Refinement, Shown, Step};
 use isopeel_kernels::{Surface, Vertex};
 use isopeel_view::View;
@@ -19,7 +19,7 @@ const SLOW_BYTES: u64 = 4_000;
 const RADIANS: f32 = 0.1;
 
 struct Viewer {
-    extractor: Extractor,
+    worker: DeviceWorker,
     volume: VolumeStep,
     step: Step,
 }
@@ -29,19 +29,15 @@ impl Viewer {
     async fn start(opening: &View, volume: VolumeStep, bytes: u64) -> Self {
         let worker = DeviceWorker::start(None).expect("a thread");
         let token = CancellationToken::new();
-        let extractor = Extractor::new(worker, u64::MAX);
-        let improved = extractor.improve(&volume, opening, &token).await;
+
+        let improved = worker.improve(&volume, opening, &token).await;
         let improved = improved.expect("improves").expect("a tree");
         let step = Step {
             shown: Shown::Cut(improved.cut),
             line_bytes: bytes,
             ..WHOLE
         };
-        Self {
-            extractor,
-            volume,
-            step,
-        }
+        Self { worker, volume, step }
     }
 
     /// All steps to a view, the final one last.
@@ -49,7 +45,7 @@ impl Viewer {
         let (token, mut steps) = (CancellationToken::new(), Vec::new());
         self.step.made_triangles = 0;
         loop {
-            let made = self.extractor.refine(&self.volume, view, self.step, &token).await;
+            let made = self.worker.refine(&self.volume, view, self.step, &token).await;
             let made = made.expect("a step");
             self.step.shown = Shown::Cut(made.cut);
             self.step.made_triangles = made.surface.statistics.triangles;

@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use futures_util::future::join_all;
-use isopeel::service::{DeviceState, DeviceWorker, Extractor, QUEUED_JOBS};
+use isopeel::service::{DeviceState, DeviceWorker, QUEUED_JOBS};
 use isopeel_codec::encode::encoded_bytes;
 use isopeel_extraction::{Shown, Step, WorkError};
 use isopeel_kernels::Samples;
@@ -72,7 +72,6 @@ async fn viewers_wait_in_order_and_leave_a_request_space_in_the_queue() {
     let _alone = ALONE.lock().await;
     // Jobs wait until it is open.
     let worker = DeviceWorker::start(None).expect("a thread");
-    let extractor = Extractor::new(worker.clone(), u64::MAX);
     let volume = VolumeStep::new(Arc::clone(&dataset), 0).expect("a step");
     let token = CancellationToken::new();
     let plain = view(&dataset, r#"{"iso":9}"#);
@@ -82,9 +81,9 @@ async fn viewers_wait_in_order_and_leave_a_request_space_in_the_queue() {
     let edit = async {
         let is_open = matches!(worker.state(), DeviceState::Ready(_));
         assert!(!is_open, "the queue is being emptied already");
-        extractor.refine(&volume, &of_bytes, WHOLE, &token).await
+        worker.refine(&volume, &of_bytes, WHOLE, &token).await
     };
-    let (others, request, edit) = tokio::join!(others, worker.extract(&volume, &plain, u64::MAX, &token), edit);
+    let (others, request, edit) = tokio::join!(others, worker.extract(&volume, &plain, &token), edit);
     assert!(request.is_ok(), "the request was refused: {:?}", request.err());
     let surface = edit.expect("the edit's surface").surface;
     let bytes = encoded_bytes(&surface, &|| false).expect("encodes").expect("no cancel");
@@ -111,7 +110,8 @@ impl TwoViewers {
         };
         let token = CancellationToken::new();
         let TwoViewers { worker, volume, view } = &viewers;
-        Extractor::new(worker.clone(), u64::MAX)
+        worker
+            .clone()
             .refine(volume, view, WHOLE, &token)
             .await
             .expect("a surface");
@@ -142,7 +142,6 @@ async fn others_use_the_device_while_a_tree_is_built() {
     let _alone = ALONE.lock().await;
     let viewers = TwoViewers::start().await;
     let TwoViewers { worker, volume, view } = &viewers;
-    let extractor = Extractor::new(worker.clone(), u64::MAX);
     let token = CancellationToken::new();
     let jobs = AtomicUsize::new(0);
     let others = async {
@@ -152,7 +151,7 @@ async fn others_use_the_device_while_a_tree_is_built() {
         }
     };
     let improved = tokio::select! {
-        improved = extractor.improve(volume, view, &token) => improved.expect("improves").expect("a tree"),
+        improved = worker.improve(volume, view, &token) => improved.expect("improves").expect("a tree"),
         () = others => unreachable!("there is no end of others"),
     };
     let jobs = jobs.into_inner();
@@ -160,7 +159,7 @@ async fn others_use_the_device_while_a_tree_is_built() {
     let made = improved.surface.statistics;
     assert!(made.stages.iter().any(|time| time.stage == "tree"), "{:?}", made.stages);
     // The same surface when no other viewer uses the device.
-    let alone = worker.extract(volume, view, u64::MAX, &token).await.expect("extracts");
+    let alone = worker.extract(volume, view, &token).await.expect("extracts");
     assert_eq!(improved.surface.regions.len(), alone.surface.regions.len());
     for (shared, alone) in improved.surface.regions.iter().zip(&alone.surface.regions) {
         assert_eq!((&shared.vertices, &shared.indices), (&alone.vertices, &alone.indices));
@@ -172,7 +171,6 @@ async fn a_tree_that_nobody_waits_for_leaves_no_memory() {
     let _alone = ALONE.lock().await;
     let viewers = TwoViewers::start().await;
     let TwoViewers { worker, volume, view } = &viewers;
-    let extractor = Extractor::new(worker.clone(), u64::MAX);
     let before = viewers.in_use().await;
     let some_jobs = || async {
         for _ in 0..5 {
@@ -186,21 +184,21 @@ async fn a_tree_that_nobody_waits_for_leaves_no_memory() {
         some_jobs().await;
         token.cancel();
     };
-    let (improved, ()) = tokio::join!(extractor.improve(volume, view, &token), edit);
+    let (improved, ()) = tokio::join!(worker.improve(volume, view, &token), edit);
     assert!(matches!(improved, Err(WorkError::Cancelled)));
     assert_eq!(viewers.in_use().await, before, "after an edit");
 
     // The viewer leaves.
     let token = CancellationToken::new();
     tokio::select! {
-        improved = extractor.improve(volume, view, &token) => panic!("{improved:?} after a few jobs"),
+        improved = worker.improve(volume, view, &token) => panic!("{improved:?} after a few jobs"),
         () = some_jobs() => {}
     }
     assert_eq!(viewers.in_use().await, before, "after the viewer left");
 
     // The next one is not held up.
     let token = CancellationToken::new();
-    let improved = extractor.improve(volume, view, &token).await;
+    let improved = worker.improve(volume, view, &token).await;
     assert!(improved.expect("improves").is_some());
     assert!(viewers.in_use().await > before, "the tree is kept");
 }

@@ -43,7 +43,7 @@ fn contour() -> Vec<Point> {
 
 async fn extract(worker: &DeviceWorker, dataset: &Arc<Dataset>, view: &View) -> (Extraction, Mesh) {
     let step = VolumeStep::new(Arc::clone(dataset), 0).expect("a step");
-    let made = worker.extract(&step, view, u64::MAX, &CancellationToken::new()).await;
+    let made = worker.extract(&step, view, &CancellationToken::new()).await;
     let made = made.expect("a surface");
     let (geometry, space) = view_space(dataset, view);
     let uneven = space.uneven.as_deref().map(|axes| (axes, view.mesher));
@@ -431,15 +431,12 @@ async fn features_are_described_and_extracted_at_uneven_positions() {
     let token = CancellationToken::new();
     let opening = opening_view(&dataset).expect("a view");
     assert_eq!(opening.feature.as_str(), "gradient-magnitude");
-    assert!(
-        worker.extract(&step, &opening, u64::MAX, &token).await.is_ok(),
-        "it opens"
-    );
+    assert!(worker.extract(&step, &opening, &token).await.is_ok(), "it opens");
     for feature in described.fields[0].derived_features.keys() {
         // Padded, the axes have a sample more at each end.
         for cap in [false, true] {
             let json = format!(r#"{{"iso": 1, "feature": "{feature}", "cap": {cap}}}"#);
-            let made = worker.extract(&step, &view(&dataset, &json), u64::MAX, &token).await;
+            let made = worker.extract(&step, &view(&dataset, &json), &token).await;
             assert!(made.expect(feature).surface.statistics.triangles > 100);
         }
     }

@@ -39,13 +39,13 @@ pub(super) fn run(args: &Args, file: &Path) -> Result<(), BatchError> {
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
     runtime.block_on(async {
         let mut interrupt = Interrupt::new()?;
-        let extractor = args.extractor(types)?;
-        let (worker, stop) = (extractor.worker().clone(), CancellationToken::new());
+        let worker = args.worker(types)?;
+        let stop = CancellationToken::new();
         // The store counts in 63 bits.
         let unlimited = Limits {
             quota_bytes: i64::MAX as u64,
         };
-        let jobs = Jobs::open(folder, unlimited, catalog.into(), extractor, stop.clone()).await?;
+        let jobs = Jobs::open(folder, unlimited, catalog.into(), worker.clone(), stop.clone()).await?;
         let runner = tokio::spawn(jobs.clone().run());
         let made = tokio::select! {
             made = make(&jobs, request, &args.output) => made,

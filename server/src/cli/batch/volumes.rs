@@ -23,7 +23,7 @@ use crate::cli::jobs::{empty_ones, progress_bar};
 use crate::cli::output::{Output, OutputError, WrittenFile};
 use crate::export::{self, FileRequest, Format, MadeFile, OtherVolumes};
 use crate::jobs::{Cause, ExtractionState, MAX_ATTEMPTS, MakeFailure, ManifestEntry, failure};
-use crate::service::Extractor;
+use crate::service::DeviceWorker;
 
 /// Surfaces that are worked on at a time: while one is on the device, the file of the one before is written, or the volume of the next one is
 /// read.
@@ -45,7 +45,7 @@ struct Item {
 struct Batch<'a> {
     args: &'a Args,
     request: FileRequest,
-    extractor: Extractor,
+    worker: DeviceWorker,
     seen: Arc<SeenFiles>,
     manifest: Arc<Manifest>,
     token: CancellationToken,
@@ -72,13 +72,13 @@ pub(super) fn run(args: &Args) -> Result<(), BatchError> {
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
     let lines = runtime.block_on(async {
         let mut interrupt = Interrupt::new()?;
-        let extractor = args.extractor(types)?;
-        let (worker, token) = (extractor.worker().clone(), CancellationToken::new());
+        let worker = args.worker(types)?;
+        let token = CancellationToken::new();
         let _cancel = token.clone().drop_guard();
         let batch = Batch {
             args,
             request,
-            extractor,
+            worker: worker.clone(),
             seen,
             manifest: Arc::clone(&manifest),
             token,
@@ -217,7 +217,7 @@ fn summary(lines: &[Line]) -> Result<(), BatchError> {
 impl Batch<'_> {
     /// Makes all items, and adds each to the manifest when it has ended.
     async fn make_all(&self, items: Vec<Item>) -> Result<Vec<Line>, BatchError> {
-        self.extractor.worker().ready().await?;
+        self.worker.ready().await?;
         let bar = progress_bar(items.len() as u64);
         let (mut lines, mut failed) = (Vec::with_capacity(items.len()), 0);
         let made = (0..).zip(items).map(|(number, item)| self.line(number, item));
@@ -329,7 +329,7 @@ impl Batch<'_> {
         let output = Output::create_of_batch(&self.args.output.join(file)).map_err(BatchError::Write)?;
         let made = self.attempts(volume).await;
         // No other item uses the data of this volume on the device.
-        self.extractor.worker().release(volume).await;
+        self.worker.release(volume).await;
         let made = match made {
             Ok(made) => made,
             Err(unmade) => return Ok(Err(unmade)),
@@ -359,7 +359,7 @@ impl Batch<'_> {
         };
         let mut attempts = 1;
         loop {
-            let error = match export::make(&self.extractor, volume, &OtherVolumes::new(), &request, &self.token).await {
+            let error = match export::make(&self.worker, volume, &OtherVolumes::new(), &request, &self.token).await {
                 Ok(made) => return Ok(made),
                 Err(error) => error,
             };

@@ -1,11 +1,13 @@
-//! From a view to a surface within limits: finds the threshold that keeps a budget of bytes, and refuses surfaces that are too large.
+//! From a view to its surface, within limits: resolves the view, finds the threshold that keeps a budget of bytes, and refuses surfaces that
+//! are too large.
 
 use std::time::{Duration, Instant};
 
 use isopeel_codec::encode::encoded_bytes;
 use isopeel_extraction::{
-    ByteSearch, Count, ExportWork, Extract, Extraction, FullCount, HostMemory, Improve, MakeHostSpace, Making, Measure,
-    Measurement, Measuring, Refine, Refinement, Refining, Step, Trial, WorkError,
+    Answer, Ask, ByteSearch, Count, ExportWork, Extract, Extraction, FullCount, HostMemory, Improve, MakeHostSpace,
+    Making, Measure, Measurement, Measuring, Prepare, Question, Refine, Refinement, Refining, Resolve, ShownSurface,
+    Step, Trial, WorkError,
 };
 use isopeel_kernels::Surface;
 use isopeel_view::View;
@@ -13,38 +15,38 @@ use isopeel_view::quality::{Budget, Fitted, MesherName};
 use isopeel_volumes::VolumeStep;
 use tokio_util::sync::CancellationToken;
 
-use super::DeviceWorker;
 use super::scheduler::Caller;
+use super::worker::DeviceWorker;
 use crate::pool;
 
-/// Makes surfaces that keep budgets and limits. Clones are cheap.
-#[derive(Clone)]
-pub struct Extractor {
-    worker: DeviceWorker,
-    ceiling_triangles: u64,
-}
-
-impl Extractor {
-    /// Creates an extractor that uses `worker`'s device. It refuses surfaces of more than `ceiling_triangles`; `u64::MAX`: no limit.
-    pub fn new(worker: DeviceWorker, ceiling_triangles: u64) -> Self {
-        Self {
-            worker,
-            ceiling_triangles,
-        }
+impl DeviceWorker {
+    /// Fills in values that depend on the data: the default isovalue and the feature's own range. Cancelling `token` or dropping the future
+    /// cancels the job before its next stage.
+    ///
+    /// # Errors
+    /// [`WorkError`].
+    pub async fn resolve(
+        &self,
+        volume: &VolumeStep,
+        view: &View,
+        token: &CancellationToken,
+    ) -> Result<View, WorkError> {
+        let (volume, view) = (volume.clone(), view.clone());
+        self.perform(Caller::Viewer, Resolve { volume, view }, token).await
     }
 
-    /// Returns the same extractor with [`DeviceWorker::charged_to`].
-    #[must_use]
-    pub fn charged_to(&self, user: Option<&str>) -> Self {
-        Self {
-            worker: self.worker.charged_to(user),
-            ..self.clone()
-        }
-    }
-
-    /// Returns the handle to the device.
-    pub fn worker(&self) -> &DeviceWorker {
-        &self.worker
+    /// As [`DeviceWorker::resolve`], and loads the fields that the view's surface is made of.
+    ///
+    /// # Errors
+    /// [`WorkError`]; [`WorkError::Edit`] if there is no isovalue to choose, or a computed field has no values.
+    pub async fn prepare(
+        &self,
+        volume: &VolumeStep,
+        view: &View,
+        token: &CancellationToken,
+    ) -> Result<View, WorkError> {
+        let (volume, view) = (volume.clone(), view.clone());
+        self.perform(Caller::Viewer, Prepare { volume, view }, token).await
     }
 
     /// Counts the triangles of the full surface of a view.
@@ -58,7 +60,7 @@ impl Extractor {
         token: &CancellationToken,
     ) -> Result<FullCount, WorkError> {
         let (volume, view) = (volume.clone(), view.clone());
-        self.worker.perform(Caller::Viewer, Count { volume, view }, token).await
+        self.perform(Caller::Viewer, Count { volume, view }, token).await
     }
 
     /// Makes the next step from the surface that a client shows to the surface of a view.
@@ -80,7 +82,7 @@ impl Extractor {
                 step,
                 ceiling,
             };
-            self.worker.perform(Caller::Viewer, request, token)
+            self.perform(Caller::Viewer, request, token)
         })
         .await
     }
@@ -89,7 +91,7 @@ impl Extractor {
     /// `None` if there is no better surface.
     ///
     /// # Errors
-    /// As [`Extractor::refine`].
+    /// As [`DeviceWorker::refine`].
     pub async fn improve(
         &self,
         volume: &VolumeStep,
@@ -102,7 +104,7 @@ impl Extractor {
                 view: view.clone(),
                 ceiling,
             };
-            self.worker.perform(Caller::Viewer, request, token)
+            self.perform(Caller::Viewer, request, token)
         })
         .await
     }
@@ -111,7 +113,7 @@ impl Extractor {
     /// marching-cubes mesher, and if the surface has no triangles.
     ///
     /// # Errors
-    /// As [`Extractor::refine`].
+    /// As [`DeviceWorker::refine`].
     pub async fn measure(
         &self,
         volume: &VolumeStep,
@@ -132,13 +134,13 @@ impl Extractor {
             return Ok(None);
         }
         let (volume, view) = (volume.clone(), view.clone());
-        self.worker.perform(caller, Measure { volume, view }, token).await
+        self.perform(caller, Measure { volume, view }, token).await
     }
 
     /// Makes the final surface of a view for an export, and measures its error.
     ///
     /// # Errors
-    /// As [`Extractor::refine`].
+    /// As [`DeviceWorker::refine`].
     pub async fn extract(
         &self,
         volume: &VolumeStep,
@@ -152,10 +154,10 @@ impl Extractor {
         self.extract_with(volume, view, work, token).await
     }
 
-    /// As [`Extractor::extract`], measured and refined as `work` says.
+    /// As [`DeviceWorker::extract`], measured and refined as `work` says.
     ///
     /// # Errors
-    /// As [`Extractor::refine`].
+    /// As [`DeviceWorker::refine`].
     pub async fn extract_with(
         &self,
         volume: &VolumeStep,
@@ -200,6 +202,26 @@ impl Extractor {
         Ok(extraction)
     }
 
+    /// Answers a question about the surface that a viewer is shown; if none is shown, a probe is answered for the volume alone. `token` as
+    /// in [`DeviceWorker::resolve`].
+    ///
+    /// # Errors
+    /// [`WorkError`].
+    pub async fn answer(
+        &self,
+        volume: &VolumeStep,
+        shown: Option<&ShownSurface>,
+        question: Question,
+        token: &CancellationToken,
+    ) -> Result<Answer, WorkError> {
+        let request = Ask {
+            volume: volume.clone(),
+            shown: shown.cloned(),
+            question,
+        };
+        self.perform(Caller::Viewer, request, token).await
+    }
+
     /// Returns the view with the fit that keeps its budget of bytes, if it has one.
     async fn with_fitted_bytes(
         &self,
@@ -229,7 +251,7 @@ impl Extractor {
         token: &CancellationToken,
     ) -> Result<Fitted, WorkError> {
         let mut search = ByteSearch::new(budget);
-        while let Some(trial) = search.next_trial(view, self.ceiling_triangles) {
+        while let Some(trial) = search.next_trial(view, self.ceiling) {
             let making = Making {
                 measures: false,
                 ..Making::default()
@@ -272,7 +294,7 @@ impl Extractor {
                 view: view.clone(),
                 making: Making { ceiling, ..making },
             };
-            self.worker.perform(caller, request, token)
+            self.perform(caller, request, token)
         })
         .await
     }
@@ -285,12 +307,12 @@ impl Extractor {
     {
         let try_now = async || {
             let memory = HostMemory::now();
-            let made = make(self.ceiling_triangles.min(memory.triangles())).await;
-            made.map_err(|error| memory.explain(error, self.ceiling_triangles))
+            let made = make(self.ceiling.min(memory.triangles())).await;
+            made.map_err(|error| memory.explain(error, self.ceiling))
         };
         match try_now().await {
             Err(WorkError::HostBusy { needed_bytes }) => {
-                self.worker.run_for_cache(MakeHostSpace { bytes: needed_bytes }).await?;
+                self.run_for_cache(MakeHostSpace { bytes: needed_bytes }).await?;
                 try_now().await
             }
             outcome => outcome,
