@@ -31,7 +31,7 @@ NOT_IN_ENGINE = {"axum", "clap", "hyper", "reqwest", "tokio", "utoipa"}
 
 LAYERS = {
     "kernels/src": """
-        constants error shared_slice sources tables
+        constants error lock shared_slice sources tables
         buffer cancel device interest layout pace transfer
         params rectilinear tuning volume
         expression feature mask program surface synthetic
@@ -70,7 +70,7 @@ LAYERS = {
         ahead computed counting cube_cuts histograms overviews questions release slices
         tree_surfaces
         final_surfaces refine
-        complete
+        complete requests
     """,
     "server/mesh/src": """
         caps decimal transform xml

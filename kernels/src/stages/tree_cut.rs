@@ -1,10 +1,10 @@
 //! Cuts of the vertex tree.
 
-use crate::lock::lock;
 use super::args::kernel_args;
 use crate::buffer::Buffer;
 use crate::context::{Arg, Context};
 use crate::layout::{CutParams, NONE, RegionMesh, TreeCutRegion};
+use crate::lock::lock;
 use crate::stages::cut::Criterion;
 use crate::stages::fit::Keys;
 use crate::tree::{Importances, LeftOut, VertexTree};

@@ -2,11 +2,20 @@
 //! that viewers have open.
 
 use isopeel_kernels::{Error, RectilinearGrid, SampleType};
+use isopeel_volumes::StepKey;
 
 use super::job_error::JobError;
 use super::keys::VolumeKey;
-use super::requests::ReadAhead;
 use super::workspace::Workspace;
+
+/// Limits of a field that is read ahead.
+#[derive(Clone)]
+pub struct ReadAhead {
+    /// Maximum bytes of all fields that were read ahead and are not used yet.
+    pub budget: u64,
+    /// Time steps that viewers have open: their fields are not evicted.
+    pub open: Vec<StepKey>,
+}
 
 impl Workspace {
     /// Starts the upload of a field that is read ahead, if there is space for it; returns false if there is none.

@@ -75,6 +75,7 @@ mod uploads;
 mod user_time;
 mod workspace;
 
+pub use ahead::ReadAhead;
 pub use byte_search::{ByteSearch, Trial};
 pub use context::{JobContext, JobTimes, WaitingWork};
 pub use error::{OpenError, WorkError, chain};
@@ -97,7 +98,7 @@ pub use reading::{Piece, bytes_while_read, read};
 pub use requests::{
     Ask, BeginUpload, CheckAnswers, Compute, ContinueHistogram, ContinueOverview, ContinueTable, ContinueUpload, Count,
     DeviceReply, DeviceRequest, DropUpload, Extract, FindResident, FinishUpload, Improve, MakeHostSpace,
-    MakeSpaceAhead, Measure, Prepare, ReadAhead, ReadSamples, ReadSlice, Refine, Release, Request, Resolve, UseField,
+    MakeSpaceAhead, Measure, Prepare, ReadSamples, ReadSlice, Refine, Release, Request, Resolve, UseField,
     UseHistogramFields, VolumeRequest,
 };
 pub use residency::Lru;

@@ -16,7 +16,7 @@ use super::slices::Slice;
 use super::workspace::Workspace;
 pub use fields::{
     BeginUpload, Compute, ContinueTable, ContinueUpload, DropUpload, FindResident, FinishUpload, MakeHostSpace,
-    MakeSpaceAhead, ReadAhead, Release, UseField,
+    MakeSpaceAhead, Release, UseField,
 };
 pub use samples::{CheckAnswers, ContinueHistogram, ContinueOverview, ReadSamples, ReadSlice, UseHistogramFields};
 pub use surfaces::{Ask, Count, Extract, Improve, Measure, Prepare, Refine, Resolve};

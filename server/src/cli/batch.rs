@@ -176,7 +176,7 @@ impl Args {
     /// Starts the device's thread.
     fn worker(&self, types: Vec<SampleType>) -> io::Result<DeviceWorker> {
         let options = self.device.options(types, |text| tracing::info!("{text}"));
-        Ok(DeviceWorker::start_with(options)?)
+        DeviceWorker::start_with(options)
     }
 }
 

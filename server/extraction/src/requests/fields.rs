@@ -5,6 +5,7 @@ use std::sync::Arc;
 use isopeel_kernels::{RectilinearGrid, SampleType, Samples};
 use isopeel_volumes::{StepKey, VolumeStep};
 
+use crate::ahead::ReadAhead;
 use crate::context::JobContext;
 use crate::grids::padded_grid;
 use crate::job_error::JobError;
@@ -37,15 +38,6 @@ pub struct Compute {
     pub key: VolumeKey,
     /// The user who is charged for the device time; `None`: nobody.
     pub user: Option<Arc<str>>,
-}
-
-/// Limits of a field that is read ahead.
-#[derive(Clone)]
-pub struct ReadAhead {
-    /// Maximum bytes of all fields that were read ahead and are not used yet.
-    pub budget: u64,
-    /// Time steps that viewers have open: their fields are not evicted.
-    pub open: Vec<StepKey>,
 }
 
 /// Begins the upload of a field. The reply says whether there is space for it: always, unless it is read ahead. See
