@@ -281,27 +281,27 @@ pub fn found_step(result: &'static str) {
 }
 
 /// Sets the number of jobs in the device's queue.
-pub fn queued(jobs: usize) {
+pub fn set_queued_jobs(jobs: usize) {
     gauge!(QUEUED).set(jobs as f64);
 }
 
 /// Sets the number of running exports.
-pub fn exports(running: usize) {
+pub fn set_running_exports(running: usize) {
     gauge!(EXPORTS).set(running as f64);
 }
 
 /// Sets the number of batch jobs in a state.
-pub fn batch_jobs(state: &'static str, jobs: u64) {
+pub fn set_batch_jobs(state: &'static str, jobs: u64) {
     gauge!(BATCH_JOBS, "state" => state).set(jobs as f64);
 }
 
 /// Sets the number of uploads in a state.
-pub fn uploads(state: &'static str, uploads: usize) {
+pub fn set_uploads(state: &'static str, uploads: usize) {
     gauge!(UPLOADS, "state" => state).set(uploads as f64);
 }
 
 /// Sets the bytes of all uploads.
-pub fn upload_bytes(bytes: u64) {
+pub fn set_upload_bytes(bytes: u64) {
     gauge!(UPLOAD_BYTES).set(bytes as f64);
 }
 
@@ -311,11 +311,11 @@ pub fn upload_received(bytes: usize) {
 }
 
 /// Sets the memory of an owner.
-pub fn memory(owner: &'static str, bytes: u64) {
+pub fn set_memory(owner: &'static str, bytes: u64) {
     gauge!(MEMORY, "owner" => owner).set(bytes as f64);
 }
 
 /// Sets the memory of the process.
-pub fn resident(bytes: u64) {
+pub fn set_resident_bytes(bytes: u64) {
     gauge!(RESIDENT).set(bytes as f64);
 }

@@ -32,7 +32,7 @@ use crate::jobs::{Jobs, Limits, OpenError, StateFolder};
 use crate::metrics;
 use crate::rest::{self, ApiState, SpoolFolder};
 use crate::service::DeviceWorker;
-use crate::stream::{self, Deadlines, Live, LiveOptions, StreamState};
+use crate::stream::{self, Deadlines, LiveBackend, LiveOptions, StreamState};
 use crate::uploads::Uploads;
 pub use connections::ConnectionLimits;
 pub use listener::{ListenAddress, Listener, SocketFile};
@@ -150,7 +150,7 @@ pub async fn run(
     // Ends the viewers' tasks on every return path of this function.
     let _stop_viewers = stop.clone().drop_guard();
     let worker = worker.with_ceiling(ceiling_triangles);
-    let backend = Live::new(catalog.clone(), worker.clone(), live);
+    let backend = LiveBackend::new(catalog.clone(), worker.clone(), live);
     let viewers = StreamState::new(backend, deadlines, stop.clone()).with_shared_bytes(live.shared_bytes);
     let jobs = match jobs {
         Some((folder, limits)) => {
@@ -248,7 +248,7 @@ async fn count(request: Request<Body>, next: middleware::Next) -> Response {
 /// Answers below this size are not compressed.
 const MIN_COMPRESSED_BYTES: u64 = 1 << 10;
 
-fn app(api: ApiState, viewers: StreamState<Live>, access: Access) -> Router {
+fn app(api: ApiState, viewers: StreamState<LiveBackend>, access: Access) -> Router {
     // Meshes are not compressed, because gzip takes longer than it saves in transfer. The same is true of answers that fit a packet, which
     // clients without a token may request.
     let compress = DefaultPredicate::new()

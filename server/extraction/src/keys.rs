@@ -89,7 +89,7 @@ impl VolumeKey {
             let keys = [&self.field, &mask.field].map(|name| Self::new(volume, name, false));
             return Some((Recipe::Mask(mask, labels), keys.to_vec()));
         }
-        let found = fields::expression(volume.dataset(), &self.field)?;
+        let found = fields::parse_expression(volume.dataset(), &self.field)?;
         if found.smoothing.is_some() {
             return None;
         }

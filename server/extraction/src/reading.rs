@@ -28,7 +28,8 @@ pub fn bytes_while_read(volume: &VolumeStep, key: &VolumeKey, device: DeviceKind
     let samples = volume.dataset().geometry.sample_count();
     let held = if key.padded || key.mask.is_some() {
         // For a computed field, its inputs are held too.
-        let inputs = fields::expression(volume.dataset(), &key.field).map_or(0, |found| found.fields.len() as u64);
+        let inputs =
+            fields::parse_expression(volume.dataset(), &key.field).map_or(0, |found| found.fields.len() as u64);
         samples.saturating_mul(WHOLE_COPIES + inputs)
     } else {
         samples.min(HELD_PIECES * PIECE_SAMPLES as u64)
@@ -115,7 +116,7 @@ fn read_samples(
         || mask.map(|(mask, labels)| samples_inside(&mask, &labels, volume.step())),
     );
     let samples = samples?;
-    let found = fields::expression(volume.dataset(), &key.field);
+    let found = fields::parse_expression(volume.dataset(), &key.field);
     // Every sample has a distance, or none has.
     if found.is_some_and(|found| found.is_distance) && samples.get(0).is_nan() {
         return Err(WorkError::Edit(key.nothing_inside()));

@@ -98,7 +98,7 @@ impl Compress {
     }
 
     /// Whether files of a format can be compressed in this way.
-    pub const fn is_of(self, format: Format) -> bool {
+    pub const fn applies_to(self, format: Format) -> bool {
         match self {
             Self::None => true,
             Self::Zlib => matches!(format, Format::Vtp | Format::ThreeMf),

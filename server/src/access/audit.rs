@@ -18,7 +18,7 @@ use axum::response::Response;
 use serde::Serialize;
 
 pub(super) use event::Event;
-use event::{event_of, made};
+use event::{created_id, event_of};
 use refusals::{Kind, Refusals};
 use writer::{Command, Writer};
 
@@ -29,10 +29,10 @@ use crate::clock;
 use crate::problem::ProblemCode;
 
 /// How long refusals of a kind are counted before a line states their number.
-const COUNTED: Duration = Duration::from_secs(60);
+const COUNTING_PERIOD: Duration = Duration::from_secs(60);
 
 /// Interval at which counts that are due are written.
-const LOOK: Duration = Duration::from_secs(1);
+const WRITE_INTERVAL: Duration = Duration::from_secs(1);
 
 /// Maximum lines that wait for the disk, some 200 bytes each. Requests never wait: further lines are dropped and counted, and a line
 /// states how many were dropped.
@@ -215,7 +215,7 @@ pub(super) struct Pending {
 }
 
 impl Pending {
-    pub(super) fn is_of(&mut self, who: &Identity) {
+    pub(super) fn set_identity(&mut self, who: &Identity) {
         self.who = Some(who.clone());
     }
 
@@ -238,10 +238,10 @@ impl Pending {
             return;
         }
         if let Some(who) = answer.extensions().get::<Identity>() {
-            self.is_of(who);
+            self.set_identity(who);
         }
-        let made = self.id.take().or_else(|| made(answer.headers()));
-        self.write(result, Some(status.as_u16()), code, made.as_deref());
+        let id = self.id.take().or_else(|| created_id(answer.headers()));
+        self.write(result, Some(status.as_u16()), code, id.as_deref());
     }
 
     fn write(&self, result: Outcome, status: Option<u16>, code: Option<&'static str>, id: Option<&str>) {
@@ -303,7 +303,7 @@ mod tests {
         let audit = Audit::open(&path).unwrap();
         let peer = Some([192, 0, 2, 1].into());
         let mut export = audit.begin(&Method::POST, "/api/v1/extract", peer);
-        export.is_of(&Identity::without_token());
+        export.set_identity(&Identity::without_token());
         export.answered(&StatusCode::OK.into_response());
         audit
             .begin(&Method::GET, "/api/v1/volumes/MUSTERMANN-ERIKA", peer)

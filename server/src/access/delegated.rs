@@ -109,7 +109,7 @@ impl Access {
         let Some(proofs) = &self.proofs else {
             return Err(DelegateError::NoAuth);
         };
-        if who.is_lent() {
+        if who.is_delegated() {
             return Err(DelegateError::Delegated);
         }
         if let Some(role) = roles.iter().find(|role| !ROLES.contains(role)) {

@@ -1,4 +1,5 @@
-//! The gate before every request: its host, the page that it comes from, and the token. Behind it a request has an [`Identity`].
+//! The check before every request: of its host, of the page that it comes from, of its token and of its rate. Handlers then find the
+//! [`Identity`] of the sender in the request.
 
 use std::net::IpAddr;
 use std::time::{Duration, Instant};
@@ -13,7 +14,7 @@ use super::identity::Identity;
 use super::peer::{self, PeerAddress};
 use super::proof::Proof;
 use super::rate;
-use super::role::{Need, Role, need};
+use super::role::{RequiredAccess, Role, required_access};
 use super::ticket::{self, LIFETIME as TICKET_LIFETIME, TicketError};
 use super::{Access, origin};
 use crate::problem::ApiError;
@@ -26,19 +27,19 @@ const PROBES: [&str; 2] = ["/healthz", "/readyz"];
 /// The header in which browsers state how the page that sends a request relates to the server's site.
 const FETCH_SITE: HeaderName = HeaderName::from_static("sec-fetch-site");
 
-/// Passes on requests that may use the server, and refuses the others.
+/// Middleware that passes on admitted requests, and answers the others with an error.
 pub async fn admit(State(access): State<Access>, mut request: Request, next: Next) -> Response {
     let peer = request.extensions().get().map(|&PeerAddress(peer)| peer);
     let peer = peer.map(|peer| peer::client(peer, request.headers(), &access.proxies));
     let (method, path) = (request.method(), request.uri().path());
     let mut pending = access.audit.as_ref().map(|audit| audit.begin(method, path, peer));
-    let found = access
-        .take_of_peer(peer, rate::cost(method, path))
+    let identified = access
+        .charge_peer(peer, rate::cost(method, path))
         .and_then(|()| access.identify(method, request.uri(), request.headers()));
-    if let (Some(pending), Ok(Some(who))) = (&mut pending, &found) {
-        pending.is_of(who);
+    if let (Some(pending), Ok(Some(who))) = (&mut pending, &identified) {
+        pending.set_identity(who);
     }
-    let admitted = found.and_then(|who| {
+    let admitted = identified.and_then(|who| {
         access.authorize(who.as_ref(), method, path)?;
         Ok(who)
     });
@@ -53,7 +54,7 @@ pub async fn admit(State(access): State<Access>, mut request: Request, next: Nex
     };
     if response.status() == StatusCode::UNAUTHORIZED
         && let (Some(rates), Some(peer)) = (&access.rates, peer)
-        && let Err(wait) = rates.take_of_stranger(peer)
+        && let Err(wait) = rates.charge_unauthenticated(peer)
     {
         response = too_many(wait, "no or a wrong token at your address").into_response();
     }
@@ -65,63 +66,72 @@ pub async fn admit(State(access): State<Access>, mut request: Request, next: Nex
 
 impl Access {
     /// Charges the cost of a request to the rate limit of its peer.
-    fn take_of_peer(&self, peer: Option<IpAddr>, cost: u32) -> Result<(), ApiError> {
+    fn charge_peer(&self, peer: Option<IpAddr>, cost: u32) -> Result<(), ApiError> {
         let (Some(rates), Some(peer)) = (&self.rates, peer) else {
             return Ok(());
         };
-        let taken = rates.take_of_peer(peer, cost);
+        let taken = rates.charge_peer(peer, cost);
         taken.map_err(|wait| too_many(wait, "your address"))
     }
 
     /// Identifies the sender of a request; `None` if the request needs no authentication.
     fn identify(&self, method: &Method, uri: &Uri, headers: &HeaderMap) -> Result<Option<Identity>, ApiError> {
         let path = uri.path();
-        let need = need(method, path);
+        let required = required_access(method, path);
         // Probes skip the check of the host, because they use an IP or a name that only their cluster knows. Their answer is a single word.
         let is_probe = PROBES.contains(&path) && matches!(*method, Method::GET | Method::HEAD);
         if !is_probe {
             self.hosts.check(uri, headers)?;
         }
         // No authentication: the files of the page are not secret, and neither is whether the server is alive.
-        if !path.starts_with("/api/") && need == Need::Nothing {
+        if !path.starts_with("/api/") && required == RequiredAccess::Nothing {
             return Ok(None);
         }
-        let changes = !matches!(*method, Method::GET | Method::HEAD | Method::OPTIONS);
-        let from_elsewhere = headers.get(FETCH_SITE).is_some_and(|site| site == "cross-site");
-        let is_free = need == Need::Nothing && !changes;
-        if !is_free && (changes || from_elsewhere || path == STREAM_PATH) {
-            origin::check(headers, self).map_err(|origin| foreign(&origin))?;
-            // An image or a link in a foreign page: browsers send such requests without an `Origin`.
-            if from_elsewhere && !headers.contains_key(ORIGIN) {
-                return Err(foreign("another site"));
-            }
+        let is_write = !matches!(*method, Method::GET | Method::HEAD | Method::OPTIONS);
+        let is_public_read = required == RequiredAccess::Nothing && !is_write;
+        if !is_public_read {
+            self.check_origin(headers, is_write || path == STREAM_PATH)?;
         }
-        if need == Need::Nothing || *method == Method::OPTIONS {
+        if required == RequiredAccess::Nothing || *method == Method::OPTIONS {
             return Ok(None);
         }
         let Some(proofs) = &self.proofs else {
             return Ok(Some(Identity::without_token()));
         };
         let ticket = uri.query().filter(|_| path == STREAM_PATH).and_then(ticket::in_query);
-        let found = match ticket {
+        let (proof, who) = match ticket {
             Some(ticket) => {
                 let who = self.tickets.take(ticket, headers.get(ORIGIN), Instant::now());
                 (Proof::Ticket, who.ok_or_else(bad_ticket)?)
             }
             None => proofs.find(headers, &self.cookie).ok_or_else(unauthorized)?,
         };
-        let (proof, who) = found;
         // Browsers attach the cookie to requests of any page, so a request that relies on it must state the page's origin in `Origin`.
-        if proof == Proof::Cookie && (changes || path == STREAM_PATH) && !headers.contains_key(ORIGIN) {
+        if proof == Proof::Cookie && (is_write || path == STREAM_PATH) && !headers.contains_key(ORIGIN) {
             return Err(foreign("no page that is named"));
         }
         Ok(Some(who))
     }
 
+    /// Refuses a request of a page that may not use this server. `is_always_checked`: requests that change something, and streams, which
+    /// browsers let any page open. Other requests are checked only if the browser states that they come from another site.
+    fn check_origin(&self, headers: &HeaderMap, is_always_checked: bool) -> Result<(), ApiError> {
+        let is_cross_site = headers.get(FETCH_SITE).is_some_and(|site| site == "cross-site");
+        if !is_always_checked && !is_cross_site {
+            return Ok(());
+        }
+        origin::check(headers, self).map_err(|origin| foreign(&origin))?;
+        // An image or a link in a foreign page: browsers send such requests without an `Origin`.
+        if is_cross_site && !headers.contains_key(ORIGIN) {
+            return Err(foreign("another site"));
+        }
+        Ok(())
+    }
+
     /// Checks whether the sender's roles and rate limit allow a request.
     fn authorize(&self, who: Option<&Identity>, method: &Method, path: &str) -> Result<(), ApiError> {
         let Some(who) = who else { return Ok(()) };
-        if let Need::OneOf(roles) = need(method, path)
+        if let RequiredAccess::OneOf(roles) = required_access(method, path)
             && !roles.iter().any(|&role| who.may(role))
         {
             return Err(forbidden(who, roles));
@@ -129,7 +139,7 @@ impl Access {
         // Without authentication there is only the rate limit of each peer.
         match &self.rates {
             Some(rates) if self.proofs.is_some() => {
-                let taken = rates.take_of_token(who.token(), rate::cost(method, path));
+                let taken = rates.charge_token(who.token(), rate::cost(method, path));
                 taken.map_err(|wait| too_many(wait, "this token"))
             }
             _ => Ok(()),
@@ -143,7 +153,7 @@ impl Access {
     pub fn exchange(&self, token: &str) -> Result<Option<HeaderValue>, ApiError> {
         let Some(proofs) = &self.proofs else { return Ok(None) };
         let who = proofs.of_token(token).ok_or_else(unauthorized)?;
-        if who.is_lent() {
+        if who.is_delegated() {
             let message = "this token is a delegated one, for which there is no cookie: send it as `Authorization: Bearer` with each request";
             return Err(ApiError::new(StatusCode::FORBIDDEN, "lent-token", message));
         }

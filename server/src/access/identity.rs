@@ -138,7 +138,7 @@ impl Identity {
     }
 
     /// Whether the token was delegated.
-    pub(super) fn is_lent(&self) -> bool {
+    pub(super) fn is_delegated(&self) -> bool {
         matches!(self.holds, Holds::Delegated(..))
     }
 

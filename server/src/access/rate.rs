@@ -108,7 +108,7 @@ pub(super) struct RateLimits {
     peers: Limit<IpAddr>,
     tokens: Limit<Box<str>>,
     /// Limit of a peer for requests without a token or with a wrong one.
-    strangers: Limit<IpAddr>,
+    unauthenticated: Limit<IpAddr>,
 }
 
 impl RateLimits {
@@ -116,23 +116,23 @@ impl RateLimits {
         Self {
             peers: Limit::new(rates.peer),
             tokens: Limit::new(rates.token),
-            strangers: Limit::new(rates.peer),
+            unauthenticated: Limit::new(rates.peer),
         }
     }
 
     /// Charges the cost of a request to its peer. The error is the time after which to try again.
-    pub(super) fn take_of_peer(&self, peer: IpAddr, cost: u32) -> Result<(), Duration> {
+    pub(super) fn charge_peer(&self, peer: IpAddr, cost: u32) -> Result<(), Duration> {
         self.peers.take(&counted_as(peer), cost)
     }
 
     /// Charges the cost of a wrong token to its peer. This limit is separate from that of other requests, so that users with valid tokens
     /// at the same address are not affected. The error is the time after which to try again.
-    pub(super) fn take_of_stranger(&self, peer: IpAddr) -> Result<(), Duration> {
-        self.strangers.take(&counted_as(peer), REFUSED_COST)
+    pub(super) fn charge_unauthenticated(&self, peer: IpAddr) -> Result<(), Duration> {
+        self.unauthenticated.take(&counted_as(peer), REFUSED_COST)
     }
 
     /// Charges the cost of a request to its token. The error is the time after which to try again.
-    pub(super) fn take_of_token(&self, token: &str, cost: u32) -> Result<(), Duration> {
+    pub(super) fn charge_token(&self, token: &str, cost: u32) -> Result<(), Duration> {
         self.tokens.take(&token.into(), cost)
     }
 }
@@ -150,29 +150,29 @@ mod tests {
         let limits = RateLimits::new(Rates { peer: 10, token: 1 });
         // A burst of ten seconds, whatever its requests cost.
         for _ in 0..5 {
-            limits.take_of_peer(ip(1), 20).expect("within the burst");
+            limits.charge_peer(ip(1), 20).expect("within the burst");
         }
-        let wait = limits.take_of_peer(ip(1), 20).expect_err("beyond it");
+        let wait = limits.charge_peer(ip(1), 20).expect_err("beyond it");
         assert!((1.5..=2.0).contains(&wait.as_secs_f64()), "{wait:?}");
-        assert!(limits.take_of_peer(ip(2), 100).is_ok(), "another peer");
-        assert!(limits.take_of_token("a", 10).is_ok() && limits.take_of_token("b", 10).is_ok());
-        assert!(limits.take_of_token("a", 1).is_err());
+        assert!(limits.charge_peer(ip(2), 100).is_ok(), "another peer");
+        assert!(limits.charge_token("a", 10).is_ok() && limits.charge_token("b", 10).is_ok());
+        assert!(limits.charge_token("a", 1).is_err());
         let free = RateLimits::new(Rates { peer: 0, token: 0 });
-        assert!((0..1_000).all(|_| free.take_of_peer(ip(1), 1_000).is_ok()));
+        assert!((0..1_000).all(|_| free.charge_peer(ip(1), 1_000).is_ok()));
         // A request that costs more than the whole burst takes the whole burst.
-        assert!(limits.take_of_token("c", 11).is_ok() && limits.take_of_token("c", 1).is_err());
+        assert!(limits.charge_token("c", 11).is_ok() && limits.charge_token("c", 1).is_err());
     }
 
     #[test]
     fn who_shows_wrong_tokens_waits_for_what_they_cost() {
         let limits = RateLimits::new(Rates { peer: 50, token: 0 });
-        let tries = (0..20).take_while(|_| limits.take_of_stranger(ip(1)).is_ok());
+        let tries = (0..20).take_while(|_| limits.charge_unauthenticated(ip(1)).is_ok());
         assert_eq!(tries.count(), 5, "500 units, 100 each");
-        let wait = limits.take_of_stranger(ip(1)).expect_err("nothing is left");
+        let wait = limits.charge_unauthenticated(ip(1)).expect_err("nothing is left");
         assert!((1.0..=2.0).contains(&wait.as_secs_f64()), "{wait:?}");
-        assert!(limits.take_of_stranger(ip(2)).is_ok());
+        assert!(limits.charge_unauthenticated(ip(2)).is_ok());
         assert!(
-            (0..500).all(|_| limits.take_of_peer(ip(1), 1).is_ok()),
+            (0..500).all(|_| limits.charge_peer(ip(1), 1).is_ok()),
             "others at the address go on"
         );
     }
@@ -199,8 +199,8 @@ mod tests {
         let slice = cost(&Method::GET, "/api/v1/volumes/head/slices");
         // Fifty seconds of it in no time, in which nothing is given back.
         for _ in 0..60 * 3 * 50 {
-            limits.take_of_peer(ip(1), slice).expect("of the peer");
-            limits.take_of_token("a", slice).expect("of the token");
+            limits.charge_peer(ip(1), slice).expect("of the peer");
+            limits.charge_token("a", slice).expect("of the token");
         }
     }
 

@@ -1,4 +1,4 @@
-//! Roles, and the role that each request needs.
+//! Roles, and the roles that each request requires.
 
 use std::fmt;
 use std::str::FromStr;
@@ -37,7 +37,7 @@ impl Role {
         Self::Admin,
     ];
 
-    /// Its name in files and on the command line.
+    /// Returns the name in files and on the command line.
     pub fn name(self) -> &'static str {
         match self {
             Self::View => "view",
@@ -59,16 +59,16 @@ impl FromStr for Role {
     }
 }
 
-/// A set of roles.
+/// A set of roles: a bit for each, at the position of its discriminant.
 #[derive(Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(from = "Vec<Role>", into = "Vec<Role>")]
 pub struct Roles(u8);
 
 impl Roles {
-    /// The roles of the user who started the server.
+    /// All roles: `Admin` includes the others. The user who starts the server has them.
     pub const ALL: Self = Self(1 << Role::Admin as u8);
 
-    /// Whether there are none.
+    /// Whether the set is empty.
     pub fn is_empty(self) -> bool {
         self.0 == 0
     }
@@ -106,9 +106,9 @@ impl fmt::Debug for Roles {
     }
 }
 
-/// The authorization that a request below `/api/v1/` needs.
+/// The authorization that a request requires.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Need {
+pub(super) enum RequiredAccess {
     /// None: the answer contains nothing about volumes.
     Nothing,
     /// A token, whatever its roles.
@@ -117,37 +117,37 @@ pub(super) enum Need {
     OneOf(&'static [Role]),
 }
 
-/// Returns the need of a request. Paths outside of `/api/` are the page and the probes. Paths below `/api/` that are not listed here need
-/// `admin`, so that forgetting to list a route does not open it.
-pub(super) fn need(method: &Method, path: &str) -> Need {
+/// Returns the authorization that a request requires. Paths outside of `/api/` are the page and the probes. Paths below `/api/` that are
+/// not listed here need `admin`, so that forgetting to list a route does not open it.
+pub(super) fn required_access(method: &Method, path: &str) -> RequiredAccess {
     use Role::{Admin, Export, Upload, View};
     if !path.starts_with("/api/") {
         return if path == "/metrics" {
-            Need::OneOf(&[Admin])
+            RequiredAccess::OneOf(&[Admin])
         } else {
-            Need::Nothing
+            RequiredAccess::Nothing
         };
     }
-    let Some(rest) = path.strip_prefix("/api/v1/") else {
-        return Need::OneOf(&[Admin]);
+    let Some(route) = path.strip_prefix("/api/v1/") else {
+        return RequiredAccess::OneOf(&[Admin]);
     };
-    let parts: Vec<&str> = rest.split('/').collect();
+    let parts: Vec<&str> = route.split('/').collect();
     match parts[..] {
-        ["openapi.json"] => Need::Nothing,
+        ["openapi.json"] => RequiredAccess::Nothing,
         // The origins whose pages may embed the viewer are not secret: a header of each answer has them too.
-        ["embed"] if *method == Method::GET => Need::Nothing,
+        ["embed"] if *method == Method::GET => RequiredAccess::Nothing,
         // Exchanges a token for a cookie, so the handler checks the token itself.
-        ["session"] if *method == Method::POST => Need::Nothing,
+        ["session"] if *method == Method::POST => RequiredAccess::Nothing,
         // The sign-in that leads to a session.
-        ["oidc"] | ["oidc", "login" | "callback"] if *method == Method::GET => Need::Nothing,
-        ["session"] => Need::Token,
-        ["volumes"] | ["volumes", _] | ["unreadable"] => Need::OneOf(&[View, Export]),
+        ["oidc"] | ["oidc", "login" | "callback"] if *method == Method::GET => RequiredAccess::Nothing,
+        ["session"] => RequiredAccess::Token,
+        ["volumes"] | ["volumes", _] | ["unreadable"] => RequiredAccess::OneOf(&[View, Export]),
         ["volumes", _, "slices" | "overview" | "expression"] | ["stream"] | ["tickets"] | ["embed-tokens"] => {
-            Need::OneOf(&[View])
+            RequiredAccess::OneOf(&[View])
         }
-        ["extract"] | ["jobs", ..] => Need::OneOf(&[Export]),
-        ["uploads", ..] => Need::OneOf(&[Upload]),
-        _ => Need::OneOf(&[Admin]),
+        ["extract"] | ["jobs", ..] => RequiredAccess::OneOf(&[Export]),
+        ["uploads", ..] => RequiredAccess::OneOf(&[Upload]),
+        _ => RequiredAccess::OneOf(&[Admin]),
     }
 }
 
@@ -194,7 +194,11 @@ mod tests {
             "/api/v1/volumes/head/other",
             "/api/v1/%6aobs",
         ] {
-            assert_eq!(need(&Method::GET, path), Need::OneOf(&[Role::Admin]), "{path}");
+            assert_eq!(
+                required_access(&Method::GET, path),
+                RequiredAccess::OneOf(&[Role::Admin]),
+                "{path}"
+            );
         }
     }
 }

@@ -131,9 +131,9 @@ impl DeviceArgs {
         &self.next
     }
 
-    /// Passes on the outcome of a command. If it has no device because only another process can open it, the same command runs again in that
-    /// process, which takes the place of this one.
-    pub(super) fn or_again<T, E>(&self, outcome: Result<T, E>) -> Result<T, E> {
+    /// Returns the outcome of a command. But if the command failed because the device needs other environment variables, replaces this
+    /// process by one that has them and runs the same command.
+    pub(super) fn or_restart<T, E>(&self, outcome: Result<T, E>) -> Result<T, E> {
         let environment = self.next.take();
         if outcome.is_err() && !environment.is_empty() {
             let error = start_again(environment);

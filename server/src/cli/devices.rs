@@ -1,4 +1,4 @@
-//! `isopeel devices`
+//! The command `isopeel devices`: lists or checks the OpenCL devices.
 
 use std::fmt::Write as _;
 use std::path::PathBuf;
@@ -29,12 +29,12 @@ pub enum DevicesError {
     /// No loader, driver or device; the message says what to install.
     #[error("{0}")]
     Nothing(String),
-    /// All devices are there, and none is to be believed.
+    /// There are devices, but none of them computes correctly.
     #[error("no device passes the check")]
     NonePasses,
 }
 
-/// Lists or checks the devices.
+/// Runs the command: lists or checks the devices, or serves a request of a parent process.
 ///
 /// # Errors
 /// [`DevicesError`], or standard output is closed.
@@ -47,13 +47,14 @@ pub fn run(args: &Args) -> Result<(), BoxError> {
         return check(folder);
     }
     let listed = device::list(folder.as_deref());
-    super::print(broken(&listed).as_bytes())?;
-    if let Some(text) = listed.nothing {
+    super::print(describe_broken_drivers(&listed).as_bytes())?;
+    if let Some(text) = listed.why_none {
         return Err(DevicesError::Nothing(text).into());
     }
-    Ok(super::print(list(&listed.devices).as_bytes())?)
+    Ok(super::print(describe_devices(&listed.devices).as_bytes())?)
 }
 
+/// Checks all devices, with progress on stderr, and prints a table of the results. `folder`: the cache of verdicts.
 fn check(folder: Option<PathBuf>) -> Result<(), BoxError> {
     let bar = indicatif::ProgressBar::new_spinner();
     bar.enable_steady_tick(Duration::from_millis(200));
@@ -61,16 +62,16 @@ fn check(folder: Option<PathBuf>) -> Result<(), BoxError> {
         |done: usize, of: usize| bar.set_message(format!("checking a device: {done} of {of} steps are done"));
     let (listed, checked) = device::check_all(folder, &progress);
     bar.finish_and_clear();
-    let text = broken(&listed) + &table(&checked);
+    let text = describe_broken_drivers(&listed) + &table(&checked);
     super::print(text.as_bytes())?;
-    match listed.nothing {
+    match listed.why_none {
         Some(text) => Err(DevicesError::Nothing(text).into()),
-        None if checked.iter().all(|one| one.passed().is_none()) => Err(DevicesError::NonePasses.into()),
+        None if checked.iter().all(|device| device.passed().is_none()) => Err(DevicesError::NonePasses.into()),
         None => Ok(()),
     }
 }
 
-/// A line for each device, then what was found wrong, and the reason of the order if several drivers offer this machine's processors.
+/// Returns the results of a check: a table with a line for each device, and then notes on what failed.
 fn table(checked: &[Checked]) -> String {
     let mut rows = vec![["", "result", "device", "driver"].map(str::to_owned)];
     rows.extend(checked.iter().map(row));
@@ -84,28 +85,40 @@ fn table(checked: &[Checked]) -> String {
     } else {
         lines.collect()
     };
-    for one in checked
-        .iter()
-        .filter(|one| one.tried.iter().any(|(_, ended)| ended.is_some()))
-    {
-        let used = match one.passed() {
+    text += &notes(checked);
+    text
+}
+
+/// Returns the failures of each device, and the reason of the order if several drivers offer this machine's processors.
+fn notes(checked: &[Checked]) -> String {
+    let mut text = String::new();
+    let has_failure = |device: &&Checked| device.tried.iter().any(|(_, ended)| ended.is_some());
+    for failed in checked.iter().filter(has_failure) {
+        let used = match failed.passed() {
             Some(_) => "is used with a workaround",
             None => "is not used without --trust-device",
         };
+        // Writing to a string cannot fail.
         let _ = write!(
             text,
             "\n{} {used}, because it fails:\n{}\n",
-            one.device.index,
-            one.report()
+            failed.device.index,
+            failed.report()
         );
     }
-    if checked.iter().filter(|one| one.device.kind == DeviceKind::Cpu).count() > 1 {
+    if checked
+        .iter()
+        .filter(|checked| checked.device.kind == DeviceKind::Cpu)
+        .count()
+        > 1
+    {
         text += "\nThe first that passes is used: GPUs come before processors, and of the drivers of processors PoCL, then Intel's runtime, then \
                  others, then Mesa's, which compiles longest.\n";
     }
     text
 }
 
+/// Returns index, result, name and driver of a device.
 fn row(checked: &Checked) -> [String; 4] {
     let device = &checked.device;
     let result = match checked.passed() {
@@ -117,15 +130,16 @@ fn row(checked: &Checked) -> [String; 4] {
     [device.index.to_string(), result, device.name.clone(), driver]
 }
 
-/// Drivers that are left out, a line each.
-fn broken(listed: &Listed) -> String {
-    let broken = listed.broken.iter();
-    broken
-        .map(|one| format!("left out: the driver of {}: {}\n", one.icd.display(), one.why))
+/// Returns a line for each driver that is left out.
+fn describe_broken_drivers(listed: &Listed) -> String {
+    let drivers = listed.broken.iter();
+    drivers
+        .map(|driver| format!("left out: the driver of {}: {}\n", driver.icd.display(), driver.why))
         .collect()
 }
 
-fn list(devices: &[DeviceInfo]) -> String {
+/// Returns the name of each device with its properties, a line each.
+fn describe_devices(devices: &[DeviceInfo]) -> String {
     let mut text = String::new();
     for device in devices {
         let kind = match device.kind {
@@ -145,6 +159,7 @@ fn list(devices: &[DeviceInfo]) -> String {
         // Writing to a string cannot fail.
         let _ = writeln!(text, "{}: {}", device.index, device.name.trim());
         for (name, value) in rows {
+            // The longest name has 18 characters.
             let _ = writeln!(text, "   {name:<19}{}", value.trim());
         }
     }
@@ -179,7 +194,7 @@ mod tests {
     #[test]
     fn a_device_is_listed_with_units() {
         assert_eq!(
-            list(&[device()]),
+            describe_devices(&[device()]),
             "1: pthread-skylake\n   platform           Portable Computing Language\n   kind               CPU\n   \
              memory             6.0 GiB\n   largest allocation 2.0 GiB\n   compute units      2\n   \
              version            OpenCL 3.0 PoCL\n   driver             3.1\n"
@@ -188,7 +203,7 @@ mod tests {
 
     #[test]
     fn checked_devices_are_a_table_with_reasons() {
-        let wrong = Ended::Wrong("stage cut fails".into());
+        let wrong = Ended::PermanentError("stage cut fails".into());
         let passes = Checked {
             device: device(),
             tried: vec![(Workaround::None, Some(wrong.clone())), (Workaround::Loops, None)],

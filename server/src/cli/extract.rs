@@ -164,7 +164,7 @@ async fn extract(args: &Args, work: Work, token: CancellationToken) -> Result<()
 
     let (mut made, mut counted) = (Vec::new(), Vec::new());
     for surface in surfaces {
-        let work = request.options.work(&surface.view);
+        let work = request.options.export_work(&surface.view);
         let extracted = worker.extract_with(&surface.volume, &surface.view, work, &token);
         let extraction = extracted.await?;
         let statistics = extraction.statistics(&surface.volume, &device.name);
@@ -262,7 +262,7 @@ impl Args {
                 others.insert(path.to_owned(), open(Path::new(path), revision)?);
             }
         }
-        let own = open(input.path(), 0).map_err(|error| input.named(error))?;
+        let own = open(input.path(), 0).map_err(|error| input.name_in(error))?;
         Ok((own, others))
     }
 }

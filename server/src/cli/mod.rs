@@ -116,7 +116,7 @@ fn manual(args: &ManualArgs) -> io::Result<()> {
 }
 
 impl Command {
-    /// Whether it loads the drivers of devices.
+    /// Whether the command loads the drivers of devices.
     pub fn uses_device(&self) -> bool {
         match self {
             Self::Serve(_) | Self::Extract(_) | Self::Batch(_) | Self::Slice(_) | Self::Devices(_) | Self::Bench(_) => {
@@ -126,7 +126,7 @@ impl Command {
         }
     }
 
-    /// Log level without `RUST_LOG`.
+    /// Returns the log level that applies if `RUST_LOG` is not set.
     pub fn default_log(&self) -> &'static str {
         match self {
             Self::Serve(_) => "info",
@@ -147,43 +147,46 @@ impl Command {
 /// Runs a command to its end.
 ///
 /// # Errors
-/// The error of the command, which is not printed yet.
+/// The error of the command. The caller prints it.
 pub fn run(cli: Cli) -> Result<(), BoxError> {
     pool::start()?;
     match cli.command {
         Command::Serve(args) => Ok(serve::run(&args)?),
-        Command::Extract(args) => Ok(args.device.or_again(extract::run(&args))?),
-        Command::Slice(args) => Ok(args.device.or_again(slice::run(&args))?),
+        Command::Extract(args) => Ok(args.device.or_restart(extract::run(&args))?),
+        Command::Slice(args) => Ok(args.device.or_restart(slice::run(&args))?),
         Command::Jobs(args) => Ok(jobs::run(&args)?),
         Command::Token(args) => Ok(token::run(&args)?),
-        Command::Batch(args) => Ok(args.device.or_again(batch::run(&args))?),
-        Command::Info(InfoArgs { path, json }) => {
-            let (mut text, input) = (Vec::new(), InputPath::new(&path)?);
-            let informed = if json {
-                info::run_json(input.path(), &mut text)
-            } else {
-                info::run(input.path(), &mut text)
-            };
-            informed.map_err(|error| match error {
-                info::InfoError::Read(error) => info::InfoError::Read(input.named(error)),
-                error => error,
-            })?;
-            Ok(print(&text)?)
-        }
+        Command::Batch(args) => Ok(args.device.or_restart(batch::run(&args))?),
+        Command::Info(args) => print_info(&args),
         Command::Devices(args) => devices::run(&args),
         Command::Completions(args) => Ok(completions(&args)?),
         Command::Manual(args) => Ok(manual(&args)?),
-        Command::Bench(args) => Ok(args.device.or_again(bench::run(&args))?),
+        Command::Bench(args) => Ok(args.device.or_restart(bench::run(&args))?),
     }
 }
 
+/// Runs `isopeel info`.
+fn print_info(args: &InfoArgs) -> Result<(), BoxError> {
+    let (mut text, input) = (Vec::new(), InputPath::new(&args.path)?);
+    let outcome = if args.json {
+        info::run_json(input.path(), &mut text)
+    } else {
+        info::run(input.path(), &mut text)
+    };
+    outcome.map_err(|error| match error {
+        info::InfoError::Read(error) => info::InfoError::Read(input.name_in(error)),
+        error => error,
+    })?;
+    Ok(print(&text)?)
+}
+
 /// Exit code of `isopeel extract` if the surface has no triangles and `--allow-empty` is not given.
-const EMPTY: u8 = 3;
+const EXIT_EMPTY: u8 = 3;
 
 /// Returns the exit code of a command that ended with an error.
 pub fn exit_code(error: &(dyn std::error::Error + 'static)) -> u8 {
     match error.downcast_ref() {
-        Some(extract::ExtractError::Empty(_)) => EMPTY,
+        Some(extract::ExtractError::Empty(_)) => EXIT_EMPTY,
         _ => 1,
     }
 }

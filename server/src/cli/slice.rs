@@ -123,7 +123,7 @@ pub fn run(args: &Args) -> Result<(), SliceError> {
         level: args.level,
     };
     let input = InputPath::new(&args.path)?;
-    let mut dataset = open_dataset(input.path()).map_err(|error| input.named(error))?;
+    let mut dataset = open_dataset(input.path()).map_err(|error| input.name_in(error))?;
     dataset.set_frame(args.frame);
     let dataset = Arc::new(dataset);
     let field = args.field_of(&dataset)?;

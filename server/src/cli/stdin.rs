@@ -1,4 +1,4 @@
-//! A volume from stdin.
+//! Input paths on the command line, of which `-` stands for stdin.
 
 use std::fs::File;
 use std::io;
@@ -12,17 +12,19 @@ use isopeel_volumes::ReadError;
 /// The path that stands for stdin.
 const STDIN: &str = "-";
 
-/// A path that was named; stdin is kept in a file as long as this is.
+/// The path of an input. If the input is stdin, a temporary file holds all of it; dropping this removes the file.
 pub(super) struct InputPath {
     path: PathBuf,
+    /// Folder of the temporary file, if the input is stdin.
     folder: Option<TempDir>,
 }
 
 impl InputPath {
-    /// The path itself, or that of a file with all of stdin. What the file is, its first bytes say.
+    /// Returns the path itself, or for `-` that of a temporary file with all of stdin. The file has no extension: readers find out its
+    /// format from its first bytes.
     ///
     /// # Errors
-    /// Stdin cannot be read, or the folder for temporary files cannot hold it.
+    /// Stdin cannot be read, or there is no space for it in the folder for temporary files.
     pub(super) fn new(path: &Path) -> Result<Self, ReadError> {
         if path != Path::new(STDIN) {
             return Ok(Self {
@@ -33,8 +35,9 @@ impl InputPath {
         Self::spool().map_err(|error| ReadError::io(path, "stdin", "cannot be read", error))
     }
 
-    /// Copies stdin to a file, which goes with its folder at Ctrl-C too. It becomes stdin in turn, for a process that takes the place of
-    /// this one.
+    /// Copies stdin to a temporary file. Ctrl-C and SIGTERM end the copy with an error, so that the file is removed then too.
+    ///
+    /// Afterwards the file takes the place of stdin, so that another process that replaces this one can read the input once more.
     fn spool() -> io::Result<Self> {
         let folder = tempfile::tempdir()?;
         let path = folder.path().join("stdin");
@@ -49,7 +52,7 @@ impl InputPath {
                 _ = terminate.recv() => Err(io::Error::other("interrupted")),
             }
         });
-        // Its thread may wait for stdin for ever.
+        // After an interruption the thread may still wait for stdin: do not wait for it.
         runtime.shutdown_background();
         copied?;
         rustix::stdio::dup2_stdin(File::open(&path)?)?;
@@ -63,8 +66,8 @@ impl InputPath {
         &self.path
     }
 
-    /// Returns an error with `stdin` in place of the name of its file.
-    pub(super) fn named(&self, error: ReadError) -> ReadError {
+    /// Replaces the path of the temporary file in an error by `stdin`.
+    pub(super) fn name_in(&self, error: ReadError) -> ReadError {
         match &self.folder {
             Some(folder) if error.path.starts_with(folder.path()) => error.in_folder(folder.path()),
             _ => error,

@@ -7,7 +7,7 @@ use isopeel_kernels::check::{Check, CheckError, STEPS, Scope};
 use isopeel_kernels::{DeviceInfo, DeviceKind, Engine, Error, SampleType};
 use serde::{Deserialize, Serialize};
 
-use super::setup::{Workaround, type_of};
+use super::setup::{Workaround, sample_type_of};
 use crate::error::{BoxError, chain};
 
 /// Request to a child: the argument of `isopeel devices --child`.
@@ -183,14 +183,14 @@ fn open(index: usize, workaround: Workaround) -> isopeel_kernels::Result<Engine>
 }
 
 fn sample_types(names: &[String]) -> impl Iterator<Item = SampleType> {
-    names.iter().filter_map(|name| type_of(name))
+    names.iter().filter_map(|name| sample_type_of(name))
 }
 
 fn build(index: usize, workaround: Workaround, programs: &[(String, String)]) -> isopeel_kernels::Result<()> {
     let engine = open(index, workaround)?;
     let mut known = programs
         .iter()
-        .filter_map(|(stage, name)| Some((stage, type_of(name)?)));
+        .filter_map(|(stage, name)| Some((stage, sample_type_of(name)?)));
     known.try_for_each(|(stage, sample_type)| engine.build_stage(stage, sample_type))
 }
 

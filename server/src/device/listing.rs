@@ -26,13 +26,13 @@ pub struct Listed {
     /// Environment variables with which a process sees these devices, but not the broken drivers.
     pub environment: Vec<(String, String)>,
     /// Why there are no devices, in the words of the loader or the drivers.
-    pub nothing: Option<String>,
+    pub why_none: Option<String>,
 }
 
 impl Listed {
-    fn nothing(text: String) -> Self {
+    fn none(text: String) -> Self {
         Self {
-            nothing: Some(text),
+            why_none: Some(text),
             ..Self::default()
         }
     }
@@ -55,8 +55,8 @@ pub fn list(folder: Option<&Path>) -> Listed {
             devices,
             ..Listed::default()
         },
-        Err(Ended::Wrong(text) | Ended::Failed(text)) => Listed::nothing(text),
-        Err(ended @ Ended::NotStarted(_)) => Listed::nothing(ended.to_string()),
+        Err(Ended::PermanentError(text) | Ended::TemporaryError(text)) => Listed::none(text),
+        Err(ended @ Ended::NotStarted(_)) => Listed::none(ended.to_string()),
         Err(ended) => {
             let spare = cache::spare_folder().ok();
             let mut folders = folder.into_iter().chain(spare.as_deref());
@@ -64,7 +64,7 @@ pub fn list(folder: Option<&Path>) -> Listed {
             let no_folder =
                 || io::Error::other("neither the kernel cache nor the folder of temporary files can be written");
             folder.ok_or_else(no_folder).and_then(list_apart).unwrap_or_else(|why| {
-                Listed::nothing(format!(
+                Listed::none(format!(
                     "an OpenCL driver is broken, and cannot be left out ({why}): {ended}"
                 ))
             })
@@ -90,7 +90,7 @@ fn list_apart(folder: &Path) -> io::Result<Listed> {
     for icd in icd_files() {
         let alone = name_drivers(folder, std::slice::from_ref(&icd))?;
         match list_in(&alone) {
-            Ok(_) | Err(Ended::Wrong(_) | Ended::Failed(_)) => working.push(icd),
+            Ok(_) | Err(Ended::PermanentError(_) | Ended::TemporaryError(_)) => working.push(icd),
             Err(ended) => listed.broken.push(Unlisted {
                 icd,
                 why: ended.to_string(),
@@ -100,7 +100,7 @@ fn list_apart(folder: &Path) -> io::Result<Listed> {
     listed.environment = name_drivers(folder, &working)?;
     match list_in(&listed.environment) {
         Ok(devices) => listed.devices = devices,
-        Err(ended) => listed.nothing = Some(ended.to_string()),
+        Err(ended) => listed.why_none = Some(ended.to_string()),
     }
     Ok(listed)
 }

@@ -86,7 +86,7 @@ impl Checked {
 
     /// Returns a line for each way that failed.
     pub fn report(&self) -> String {
-        let device = DeviceId::of(&self.device);
+        let device = DeviceId::new(&self.device);
         let failed = self.tried.iter().filter_map(|(workaround, ended)| {
             let ended = ended.as_ref()?;
             Some(format!("  {device}, with {}: {ended}", workaround.text()))
@@ -103,7 +103,7 @@ impl Checked {
     /// Stores the verdict, or removes it if a failure has a temporary cause. A device is tried twice after such a failure, so that no
     /// needless workaround is stored.
     fn keep(&self, verdicts: &Verdicts, types: &Types) {
-        let id = DeviceId::of(&self.device);
+        let id = DeviceId::new(&self.device);
         let kept = match self.passed() {
             Some(workaround) => verdicts.keep(&id, workaround, &types.all()),
             None if self.is_refused() => verdicts.refuse(&id, self.report(), &types.all()),
@@ -122,7 +122,7 @@ impl Checked {
     /// Logs a warning if the device is used with a workaround.
     fn warn_of(&self, workaround: Workaround) {
         if workaround != Workaround::None {
-            let (device, how) = (DeviceId::of(&self.device), workaround.text());
+            let (device, how) = (DeviceId::new(&self.device), workaround.text());
             tracing::warn!("{device} is used with {how}, as it fails otherwise:\n{}", self.report());
         }
     }
@@ -154,7 +154,7 @@ impl Search {
     /// Finds the first candidate that passes. `early`: a first surface suffices, and the rest of the check continues.
     fn next(mut self, early: bool, progress: &dyn Fn(usize, usize)) -> Result<Selection, DeviceFailure> {
         while let Some(device) = self.candidates.pop_front() {
-            let id = DeviceId::of(&device);
+            let id = DeviceId::new(&device);
             let tried = std::mem::take(&mut self.tried);
             if tried.is_empty()
                 && let Some(workaround) = self.verdicts.find(&id, &self.types.all())
@@ -196,14 +196,14 @@ impl Search {
         let types = self.types.all();
         let (mut others, mut refused) = (VecDeque::new(), Vec::new());
         for device in std::mem::take(&mut self.candidates) {
-            match self.verdicts.refusal(&DeviceId::of(&device), &types) {
+            match self.verdicts.refusal(&DeviceId::new(&device), &types) {
                 Some(report) => refused.push((device, report)),
                 None => others.push_back(device),
             }
         }
         if !others.is_empty() {
             for (device, report) in &refused {
-                let id = DeviceId::of(device);
+                let id = DeviceId::new(device);
                 tracing::warn!(
                     "{id} is tried after other devices, because it failed the check before; `isopeel devices --check` checks it \
                      again:\n{report}"
@@ -263,7 +263,7 @@ impl PendingCheck {
             checked.keep(&search.verdicts, &search.types);
             return Ok(());
         }
-        search.verdicts.forget(&DeviceId::of(device));
+        search.verdicts.forget(&DeviceId::new(device));
         let found = search.next(false, &|_, _| ()).map_err(Unprepared::Failed)?;
         Err(found.new_process())
     }
@@ -345,7 +345,11 @@ pub fn check_all(folder: Option<PathBuf>, progress: &dyn Fn(usize, usize)) -> (L
 /// Returns the error for a list without devices.
 fn nothing(listed: Listed) -> DeviceFailure {
     if listed.broken.is_empty() {
-        return DeviceFailure::Nothing(listed.nothing.unwrap_or_else(|| "there is no OpenCL device".to_owned()));
+        return DeviceFailure::Nothing(
+            listed
+                .why_none
+                .unwrap_or_else(|| "there is no OpenCL device".to_owned()),
+        );
     }
     let broken = listed.broken.iter();
     let broken = broken.map(|one| format!("  the driver of {}: {}", one.icd.display(), one.why));
@@ -373,7 +377,7 @@ fn check(
     progress: &dyn Fn(usize, usize),
 ) -> (Checked, Option<Building>) {
     let is_new = |one: &Workaround| tried.iter().all(|(before, _)| before != one);
-    let workarounds: Vec<_> = Workaround::of(device).into_iter().filter(is_new).collect();
+    let workarounds: Vec<_> = Workaround::candidates(device).into_iter().filter(is_new).collect();
     let mut checked = Checked {
         device: device.clone(),
         tried,

@@ -1,4 +1,4 @@
-//! A child process as its parent sees it: its messages, and how it ended.
+//! A child process that uses a device, on the side of the parent: starts it, receives its messages, and finds out how it ended.
 
 use std::io::{BufRead, BufReader, Read};
 use std::os::unix::process::{CommandExt, ExitStatusExt};
@@ -15,7 +15,7 @@ const STEP_LIMIT: Duration = Duration::from_secs(600);
 /// minute.
 const LIST_LIMIT: Duration = Duration::from_secs(120);
 
-/// Bytes of a child's standard error that a report may quote.
+/// Maximum bytes of a child's standard error that a report quotes.
 const QUOTED_BYTES: usize = 600;
 
 /// Environment variables in addition to the parent's own.
@@ -24,14 +24,14 @@ pub(super) type Environment = Vec<(String, String)>;
 /// How a child ended that did not report [`Message::Done`].
 #[derive(Clone, Debug, thiserror::Error)]
 pub enum Ended {
-    /// It ended without a final message, by a signal or with an exit code.
+    /// It ended without a final message, by a signal or with an exit code: a fault of the driver.
     #[error("the driver ended the process in stage {stage} ({how}){quoted}")]
     Crashed {
         /// Stage that was running.
         stage: String,
         /// The signal or exit code.
         how: String,
-        /// What was written on standard error.
+        /// The end of its standard error after a colon, or nothing.
         quoted: String,
     },
     /// Something else killed it: the system, which had no memory left, or a service manager that stops the server.
@@ -50,12 +50,12 @@ pub enum Ended {
         /// The limit.
         seconds: u64,
     },
-    /// It reported an error that a retry would not cure.
+    /// It reported an error that will occur again at the next attempt.
     #[error("{0}")]
-    Wrong(String),
+    PermanentError(String),
     /// It reported an error of the device whose cause may be gone at the next attempt.
     #[error("{0}")]
-    Failed(String),
+    TemporaryError(String),
     /// The child could not be started.
     #[error("the check could not be started: {0}")]
     NotStarted(String),
@@ -64,29 +64,35 @@ pub enum Ended {
 impl Ended {
     /// Whether the cause may be gone at the next attempt.
     pub fn is_temporary(&self) -> bool {
-        matches!(self, Self::Killed { .. } | Self::Failed(_) | Self::NotStarted(_))
+        matches!(
+            self,
+            Self::Killed { .. } | Self::TemporaryError(_) | Self::NotStarted(_)
+        )
     }
 }
 
-/// A running child.
+/// A running child. Dropping it kills the child.
 pub(super) struct Running {
     child: Child,
+    /// Lines of the child's standard output.
     lines: Receiver<String>,
-    errors: Receiver<String>,
+    /// The end of the child's standard error, once the child has closed it.
+    error_tail: Receiver<String>,
+    /// The stage that the child has begun last.
     stage: String,
     /// Maximum time between two messages.
     limit: Duration,
 }
 
-/// Returns the limit that the environment sets, or else `default`.
-fn limit(default: Duration) -> Duration {
+/// Returns the limit of `ISOPEEL_CHECK_SECONDS`, or else `default`.
+fn time_limit(default: Duration) -> Duration {
     let seconds = std::env::var("ISOPEEL_CHECK_SECONDS").ok();
     let seconds = seconds.and_then(|text| text.parse().ok());
     seconds.map_or(default, Duration::from_secs)
 }
 
 impl Running {
-    /// Starts a child, which ends with the calling thread.
+    /// Starts a child. On Linux the child is killed when the calling thread ends.
     pub fn start(request: &Request, environment: &Environment) -> Result<Self, Ended> {
         let failed = |error: std::io::Error| Ended::NotStarted(error.to_string());
         let text = serde_json::to_string(request).map_err(|error| Ended::NotStarted(error.to_string()))?;
@@ -101,21 +107,24 @@ impl Running {
             .process_group(0);
         end_with_parent(&mut command);
         let mut child = command.spawn().map_err(failed)?;
-        let lines = lines_of(child.stdout.take());
-        let errors = tail_of(child.stderr.take());
+        let lines = read_lines(child.stdout.take());
+        let error_tail = read_tail(child.stderr.take());
         Ok(Self {
             child,
             lines,
-            errors,
+            error_tail,
             stage: "open".to_owned(),
-            limit: limit(match request {
+            limit: time_limit(match request {
                 Request::List => LIST_LIMIT,
                 Request::Build { .. } | Request::Check { .. } => STEP_LIMIT,
             }),
         })
     }
 
-    /// Returns the next message; `None` after [`Message::Done`].
+    /// Waits for the next message. Returns `None` after [`Message::Done`].
+    ///
+    /// # Errors
+    /// The child reported an error, ended, or sent no message within the limit.
     pub fn next(&mut self) -> Result<Option<Message>, Ended> {
         loop {
             let line = match self.lines.recv_timeout(self.limit) {
@@ -126,13 +135,13 @@ impl Running {
                         seconds: self.limit.as_secs(),
                     });
                 }
-                Err(RecvTimeoutError::Disconnected) => return Err(self.crashed()),
+                Err(RecvTimeoutError::Disconnected) => return Err(self.end_of_child()),
             };
             // Skips lines that are not messages: drivers write on standard output too.
             match serde_json::from_str(&line) {
                 Ok(Message::Done) => return Ok(None),
-                Ok(Message::Wrong { text }) => return Err(Ended::Wrong(text)),
-                Ok(Message::Failed { text }) => return Err(Ended::Failed(text)),
+                Ok(Message::Wrong { text }) => return Err(Ended::PermanentError(text)),
+                Ok(Message::Failed { text }) => return Err(Ended::TemporaryError(text)),
                 Ok(Message::Begin { stage, done, of }) => {
                     self.stage.clone_from(&stage);
                     return Ok(Some(Message::Begin { stage, done, of }));
@@ -158,8 +167,9 @@ impl Running {
     #[cfg(not(target_os = "linux"))]
     pub fn lower_priority(&self) {}
 
-    fn crashed(&mut self) -> Ended {
-        // The child has closed its standard output. If it is already exiting, killing it does not change its exit status.
+    /// Waits for the end of a child that has closed its standard output, and returns how it ended.
+    fn end_of_child(&mut self) -> Ended {
+        // If the child is already exiting, killing it does not change its exit status.
         let _ = self.child.kill();
         let status = self.child.wait();
         let how = match &status {
@@ -173,7 +183,7 @@ impl Running {
                 how,
             };
         }
-        let quoted = self.errors.recv_timeout(Duration::from_secs(1)).unwrap_or_default();
+        let quoted = self.error_tail.recv_timeout(Duration::from_secs(1)).unwrap_or_default();
         Ended::Crashed {
             stage: self.stage.clone(),
             how,
@@ -209,9 +219,10 @@ fn program() -> std::io::Result<std::path::PathBuf> {
     std::env::current_exe()
 }
 
+/// Makes the system kill the child when the thread that starts it ends.
 #[cfg(target_os = "linux")]
 fn end_with_parent(command: &mut Command) {
-    // SAFETY: a system call alone, which may be made between fork and exec.
+    // SAFETY: the closure only makes a system call, which is allowed between fork and exec.
     unsafe {
         command.pre_exec(|| {
             rustix::process::set_parent_process_death_signal(Some(rustix::process::Signal::KILL))?;
@@ -223,7 +234,8 @@ fn end_with_parent(command: &mut Command) {
 #[cfg(not(target_os = "linux"))]
 fn end_with_parent(_: &mut Command) {}
 
-fn lines_of(out: Option<impl Read + Send + 'static>) -> Receiver<String> {
+/// Reads lines from `out` in a thread. Bytes that are not UTF-8 are replaced.
+fn read_lines(out: Option<impl Read + Send + 'static>) -> Receiver<String> {
     let (send, lines) = channel();
     std::thread::spawn(move || {
         let lines = out.into_iter().flat_map(|out| BufReader::new(out).split(b'\n'));
@@ -236,8 +248,8 @@ fn lines_of(out: Option<impl Read + Send + 'static>) -> Receiver<String> {
     lines
 }
 
-/// Returns a receiver of the last [`QUOTED_BYTES`] of `out`, which are sent when `out` ends.
-fn tail_of(out: Option<impl Read + Send + 'static>) -> Receiver<String> {
+/// Reads `out` to its end in a thread, which then sends the last [`QUOTED_BYTES`].
+fn read_tail(out: Option<impl Read + Send + 'static>) -> Receiver<String> {
     let (send, tail) = channel();
     std::thread::spawn(move || {
         let (mut kept, mut piece) = (Vec::new(), [0; 4096]);

@@ -1,12 +1,12 @@
-//! Ways to use a device: as its kind is used by default, or around a known fault of its driver.
+//! Identity of a device, and the workarounds for known faults of its driver.
 
 use isopeel_kernels::{DeviceInfo, DeviceKind, SampleType, Tuning};
 use serde::{Deserialize, Serialize};
 
-/// A device as children and verdicts name it.
+/// Identifies a device in requests to child processes and in stored verdicts.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct DeviceId {
-    /// Position in the list.
+    /// Position in the list of devices.
     pub index: usize,
     /// Name of its platform.
     pub platform: String,
@@ -19,8 +19,8 @@ pub struct DeviceId {
 }
 
 impl DeviceId {
-    /// Names a listed device.
-    pub fn of(info: &DeviceInfo) -> Self {
+    /// Returns the identity of a listed device.
+    pub fn new(info: &DeviceInfo) -> Self {
         Self {
             index: info.index,
             platform: info.platform.clone(),
@@ -30,13 +30,14 @@ impl DeviceId {
         }
     }
 
-    /// Whether both are the same device, or devices of one kind with one driver.
-    pub(super) fn is_like(&self, other: &Self) -> bool {
-        self.kind() == other.kind()
+    /// Whether both are the same device, or devices of the same model with the same driver.
+    pub(super) fn is_same_model(&self, other: &Self) -> bool {
+        self.model() == other.model()
     }
 
-    /// Returns the properties that devices of one kind with one driver share.
-    pub(super) fn kind(&self) -> [&str; 4] {
+    /// Returns what devices of the same model with the same driver share: the platform and its version, the name of the device, and the
+    /// version of its driver.
+    pub(super) fn model(&self) -> [&str; 4] {
         [&self.platform, &self.platform_version, &self.name, &self.driver].map(String::as_str)
     }
 }
@@ -47,11 +48,11 @@ impl std::fmt::Display for DeviceId {
     }
 }
 
-/// A way to use a device. [`Workaround::of`] has the order in which they are tried.
+/// A workaround for a fault of a driver, or none. [`Workaround::candidates`] has the order in which they are tried.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Workaround {
-    /// Uses the device as its kind is used by default.
+    /// No workaround: the default settings for this kind of device.
     #[default]
     None,
     /// PoCL compiles work-groups by its older method.
@@ -67,8 +68,8 @@ pub enum Workaround {
 }
 
 impl Workaround {
-    /// Returns the ways that may help a device, in the order in which they are tried.
-    pub fn of(device: &DeviceInfo) -> Vec<Self> {
+    /// Returns the workarounds that apply to a device, in the order in which they are tried. The first one is none.
+    pub fn candidates(device: &DeviceInfo) -> Vec<Self> {
         let is_pocl = device.pocl_version().is_some();
         let applies = |workaround: &Self| match workaround {
             Self::None | Self::OtherKernels => true,
@@ -87,7 +88,7 @@ impl Workaround {
         all.into_iter().filter(applies).collect()
     }
 
-    /// Returns the environment variable that this way requires in the process, if any.
+    /// Returns the environment variable that the process must have, and its value, if this workaround needs one.
     pub fn environment(self) -> Option<(&'static str, &'static str)> {
         match self {
             Self::Loops => Some((POCL_METHOD, "loops")),
@@ -96,7 +97,7 @@ impl Workaround {
         }
     }
 
-    /// Returns how kernels are built and launched; `None`: by default.
+    /// Returns the settings with which kernels are built and launched; `None` for the defaults of the device.
     pub fn tuning(self, device: &DeviceInfo) -> Option<Tuning> {
         match (self, device.kind) {
             (Self::None | Self::Loops | Self::Cbs, _) => None,
@@ -109,7 +110,7 @@ impl Workaround {
         }
     }
 
-    /// Returns the description in reports.
+    /// Returns the description that reports contain.
     pub fn text(self) -> &'static str {
         match self {
             Self::None => "default settings",
@@ -134,12 +135,14 @@ pub(super) const TYPES: [(&str, SampleType); 5] = [
     ("f32", SampleType::F32),
 ];
 
+/// Returns the name of a sample type in requests. All types are in [`TYPES`].
 pub(super) fn type_name(sample_type: SampleType) -> &'static str {
     let named = TYPES.into_iter().find(|(_, one)| *one == sample_type);
     named.map_or("f32", |(name, _)| name)
 }
 
-pub(super) fn type_of(name: &str) -> Option<SampleType> {
+/// Returns the sample type of a name in a request; `None` if the name is unknown.
+pub(super) fn sample_type_of(name: &str) -> Option<SampleType> {
     let named = TYPES.into_iter().find(|(one, _)| *one == name);
     named.map(|(_, sample_type)| sample_type)
 }

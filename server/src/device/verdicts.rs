@@ -47,7 +47,7 @@ impl Verdicts {
         Self {
             folder: folder.map(|folder| folder.join("devices")),
             kernels: pocl_folder(),
-            devices: listed.iter().map(DeviceId::of).collect(),
+            devices: listed.iter().map(DeviceId::new).collect(),
         }
     }
 
@@ -57,10 +57,12 @@ impl Verdicts {
 
     /// Returns the name of the file about a device.
     fn name_of(&self, device: &DeviceId) -> String {
-        let is_before = |other: &&DeviceId| other.index < device.index && other.is_like(device);
+        let is_before = |other: &&DeviceId| other.index < device.index && other.is_same_model(device);
         let ordinal = self.devices.iter().filter(is_before).count().to_string();
         let method = std::env::var(POCL_METHOD).unwrap_or_default();
-        let text = [&device.kind()[..], &[&ordinal, &build(), &method]].concat().join("\n");
+        let text = [&device.model()[..], &[&ordinal, &build(), &method]]
+            .concat()
+            .join("\n");
         format!("{:016x}", xxhash_rust::xxh3::xxh3_64(text.as_bytes()))
     }
 
@@ -104,7 +106,7 @@ impl Verdicts {
     fn read(&self, device: &DeviceId) -> Option<Verdict> {
         let bytes = std::fs::read(self.path(device)?).ok()?;
         let verdict: Verdict = serde_json::from_slice(&bytes).ok()?;
-        let is_valid = verdict.device.is_like(device) && verdict.build == build();
+        let is_valid = verdict.device.is_same_model(device) && verdict.build == build();
         is_valid.then_some(verdict)
     }
 

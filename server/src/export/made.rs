@@ -78,7 +78,7 @@ pub async fn make(
     let device = worker.ready().await?;
     let mut made = Vec::new();
     for surface in request.surfaces(volume, others)? {
-        let work = request.options.work(&surface.view);
+        let work = request.options.export_work(&surface.view);
         let extracted = worker.extract_with(&surface.volume, &surface.view, work, token);
         let extraction = extracted.await?;
         if !request.options.allow_empty && extraction.surface.statistics.triangles == 0 {

@@ -1,4 +1,4 @@
-//! The request for one file: step, format and options, beside any of the edit's names.
+//! The request for one file: the time step, the options of the file, and an edit, all in one JSON object.
 
 use std::time::Duration;
 
@@ -74,7 +74,7 @@ pub struct FileOptions {
 }
 
 impl FileOptions {
-    /// The names in JSON.
+    /// Names of the options in JSON.
     const NAMES: [&str; 11] = [
         "format",
         "allowEmpty",
@@ -89,7 +89,7 @@ impl FileOptions {
         "surfaces",
     ];
 
-    /// The options of a format, all others at their defaults.
+    /// Returns the options for a format, all others with their defaults.
     pub const fn new(format: Format) -> Self {
         Self {
             format,
@@ -135,39 +135,15 @@ impl FileOptions {
     /// A unit that is not one of lengths, too many fields, one of them twice, or options that exclude each other.
     fn check_alone(&self) -> Result<(), EditError> {
         let refuse = |field, why| Err(EditError { field, why });
-        if self.field_values.len() > MAX_FIELD_VALUES {
-            let count = self.field_values.len();
-            return refuse(
-                "fieldValues",
-                format!("{count} fields, expected at most {MAX_FIELD_VALUES}"),
-            );
-        }
-        let is_repeated = |(at, name): &(usize, &String)| self.field_values[..*at].contains(name);
-        if let Some((_, name)) = self.field_values.iter().enumerate().find(is_repeated) {
-            return refuse("fieldValues", format!("{name:?} twice, expected each field once"));
-        }
-        if !self.compress.is_of(self.format) {
+        self.check_field_values()?;
+        if !self.compress.applies_to(self.format) {
             let (name, title, expected) = (self.compress.name(), self.format.title(), self.compress.expected());
             return refuse("compress", format!("{name} of a {title}, expected {expected}"));
         }
         if let Some(seconds) = self.measure.filter(|seconds| !(0.0..=MAX_SECONDS).contains(seconds)) {
             return refuse("measure", format!("{seconds}, expected seconds, 0 to {MAX_SECONDS}"));
         }
-        let sigma = self.label_smoothing;
-        if sigma != 0.0 && !SIGMAS.contains(&sigma) {
-            let [low, high] = [SIGMAS.start(), SIGMAS.end()];
-            return refuse(
-                "labelSmoothing",
-                format!("{sigma}, expected 0, or {low} to {high} samples"),
-            );
-        }
-        let has_labels = self.label.is_some() || self.surfaces.iter().any(|surface| surface.look.label.is_some());
-        if sigma != 0.0 && !has_labels {
-            return refuse(
-                "labelSmoothing",
-                format!("{sigma} without label, expected a label beside it"),
-            );
-        }
+        self.check_label_smoothing()?;
         if let Some(text) = self.unit.as_ref().filter(|_| self.length_unit().is_none()) {
             let why = format!("{text:?}, expected one of m, mm, cm, um, nm, km or angstrom");
             return refuse("unit", why);
@@ -175,6 +151,49 @@ impl FileOptions {
         self.check_clean()
     }
 
+    /// Checks the number of the fields whose values the file has, and that none is repeated.
+    fn check_field_values(&self) -> Result<(), EditError> {
+        let refuse = |why| {
+            Err(EditError {
+                field: "fieldValues",
+                why,
+            })
+        };
+        let count = self.field_values.len();
+        if count > MAX_FIELD_VALUES {
+            return refuse(format!("{count} fields, expected at most {MAX_FIELD_VALUES}"));
+        }
+        let is_repeated = |(at, name): &(usize, &String)| self.field_values[..*at].contains(name);
+        match self.field_values.iter().enumerate().find(is_repeated) {
+            Some((_, name)) => refuse(format!("{name:?} twice, expected each field once")),
+            None => Ok(()),
+        }
+    }
+
+    /// Checks the range of the smoothing, and that there is a label to smooth.
+    fn check_label_smoothing(&self) -> Result<(), EditError> {
+        let refuse = |why| {
+            Err(EditError {
+                field: "labelSmoothing",
+                why,
+            })
+        };
+        let sigma = self.label_smoothing;
+        if sigma == 0.0 {
+            return Ok(());
+        }
+        if !SIGMAS.contains(&sigma) {
+            let [low, high] = [SIGMAS.start(), SIGMAS.end()];
+            return refuse(format!("{sigma}, expected 0, or {low} to {high} samples"));
+        }
+        let has_labels = self.label.is_some() || self.surfaces.iter().any(|surface| surface.look.label.is_some());
+        match has_labels {
+            true => Ok(()),
+            false => refuse(format!("{sigma} without label, expected a label beside it")),
+        }
+    }
+
+    /// Checks that `clean` is not combined with an option that it excludes.
     fn check_clean(&self) -> Result<(), EditError> {
         let refuse = |field, why| Err(EditError { field, why });
         if self.clean && self.compress == Compress::Meshopt {
@@ -191,10 +210,10 @@ impl FileOptions {
     }
 
     /// Returns whether the error of a view's surface is measured, and which parts of the surface are refined.
-    pub fn work(&self, view: &View) -> ExportWork {
+    pub fn export_work(&self, view: &View) -> ExportWork {
         let refining = match self.clean {
             true => Refining::Everywhere,
-            // Not with a budget of bytes, which is fitted to a surface that is not refined.
+            // A budget of bytes is fitted to a surface that is not refined.
             false if view.cap && !matches!(view.budget, Some(Budget::Bytes(_))) => Refining::AtCaps,
             false => Refining::Never,
         };
@@ -204,7 +223,7 @@ impl FileOptions {
         }
     }
 
-    /// Whether the error is measured.
+    /// Returns whether the error is measured, and within what time.
     pub fn measuring(&self) -> Measuring {
         match self.measure {
             None => Measuring::Always,
@@ -213,7 +232,8 @@ impl FileOptions {
         }
     }
 
-    /// Whether equal requests give equal bytes. They do not if the file depends on the time that measuring takes.
+    /// Whether equal requests give equal bytes. They may not if measuring the error has a time limit: the file states an error only if it was
+    /// measured in time.
     pub fn is_reproducible(&self) -> bool {
         !matches!(self.measuring(), Measuring::Within(_))
     }
@@ -230,22 +250,22 @@ impl FileOptions {
 pub struct FileRequest {
     /// Time step.
     pub step: u32,
-    /// How it is written.
+    /// Options of the file.
     #[serde(flatten)]
     pub options: FileOptions,
-    /// The edit.
+    /// Edit of the default view.
     #[serde(flatten)]
     pub edit: Edit,
 }
 
 impl FileRequest {
-    /// The view of a volume.
+    /// Returns the view of a volume that the request leads to.
     ///
     /// # Errors
     /// A value out of its range, or a field that the volume does not have.
     pub fn view(&self, dataset: &Dataset) -> Result<View, EditError> {
         self.options.check(dataset)?;
-        self.check_bytes()?;
+        self.check_clean_bytes()?;
         let fields = dataset.field_names();
         match &self.options.label {
             Some(labels) => View::requested(
@@ -256,7 +276,8 @@ impl FileRequest {
         }
     }
 
-    fn check_bytes(&self) -> Result<(), EditError> {
+    /// Refuses a budget of bytes together with `clean`.
+    fn check_clean_bytes(&self) -> Result<(), EditError> {
         if self.options.clean && self.edit.bytes.is_some() {
             let why = "beside bytes, which are those of a surface that is not refined: expected triangles".into();
             return Err(EditError { field: "clean", why });
@@ -271,7 +292,7 @@ impl FileRequest {
     pub fn check_alone(&self) -> Result<(), EditError> {
         self.options.check_alone()?;
         self.check_surfaces()?;
-        self.check_bytes()?;
+        self.check_clean_bytes()?;
         // Names of fields are left out, because they depend on the volume.
         let edit = Edit {
             field: None,
@@ -283,12 +304,12 @@ impl FileRequest {
         View::requested(&edit, &["field"]).map(|_| ())
     }
 
-    /// Whether the file has the colours of a transfer function. It has only those of one that the request names.
+    /// Whether the file has colours: only if the request has a transfer function.
     pub fn is_colored(&self) -> bool {
         self.edit.transfer_function.is_some()
     }
 
-    /// Parses the request of a JSON object. Written by hand, because serde cannot flatten and refuse unknown fields at the same time.
+    /// Parses the request from a JSON object. Written by hand, because serde cannot both flatten and refuse unknown fields.
     ///
     /// # Errors
     /// The first name that is unknown or missing, or the first value of a wrong type.

@@ -1,4 +1,4 @@
-//! The surfaces of a file, each with all of its values.
+//! The surfaces of a file: each has its own view, which the request of the file and the options of the surface lead to.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -12,7 +12,7 @@ use super::{FileOptions, FileRequest, SurfaceOptions};
 
 /// Maximum surfaces of a file: all their meshes are in memory at once. Each surface is admitted only if the earlier ones leave enough
 /// memory.
-const MAX_SURFACES: usize = 64;
+const MAX_FILE_SURFACES: usize = 64;
 
 /// Volumes of surfaces other than the file's own volume, by their names in the request.
 pub type OtherVolumes = HashMap<String, Arc<Dataset>>;
@@ -20,15 +20,15 @@ pub type OtherVolumes = HashMap<String, Arc<Dataset>>;
 /// A surface of a file, checked and complete.
 #[derive(Clone, Debug)]
 pub struct FileSurface {
-    /// Its volume and time step.
+    /// Volume and time step.
     pub volume: VolumeStep,
-    /// Its view.
+    /// View, with every value that the request sets.
     pub view: View,
     /// The request for this surface alone.
     pub request: FileRequest,
-    /// Its name, if the request has one.
+    /// Name of the surface in the file, if the request has one.
     pub name: Option<String>,
-    /// Its look.
+    /// Colour and opacity.
     pub material: Material,
 }
 
@@ -51,7 +51,7 @@ impl FileRequest {
         surfaces.filter_map(|surface| surface.look.volume.as_deref())
     }
 
-    /// Returns the time steps that surfaces use.
+    /// Returns the time steps that surfaces use, one for each surface.
     pub fn steps(&self) -> impl Iterator<Item = u32> {
         let surfaces = self.options.surfaces.iter();
         let own = self.options.surfaces.is_empty().then_some(self.step);
@@ -86,8 +86,11 @@ impl FileRequest {
     pub(super) fn check_surfaces(&self) -> Result<(), EditError> {
         let refuse = |why| Err(EditError { field: "surfaces", why });
         let surfaces = &self.options.surfaces;
-        if surfaces.len() > MAX_SURFACES {
-            return refuse(format!("{} surfaces, expected at most {MAX_SURFACES}", surfaces.len()));
+        if surfaces.len() > MAX_FILE_SURFACES {
+            return refuse(format!(
+                "{} surfaces, expected at most {MAX_FILE_SURFACES}",
+                surfaces.len()
+            ));
         }
         if surfaces.len() > 1 && !self.options.format.holds_several() {
             let title = self.options.format.title();
@@ -101,6 +104,7 @@ impl FileRequest {
             .try_for_each(|surface| surface.look.material().map(|_| ()))
     }
 
+    /// Returns one surface of the file: its options, completed by those of the file.
     fn surface(
         &self,
         surface: &SurfaceOptions,
@@ -121,14 +125,14 @@ impl FileRequest {
         let step = look.step.unwrap_or(self.step);
         let volume = VolumeStep::new(Arc::clone(dataset), step).map_err(|error| refused(error.to_string()))?;
         // A surface's own isovalue or label replaces the isovalue or label of the file.
-        let own = (look.label.is_some(), edit.iso.is_some());
+        let (has_own_label, has_own_iso) = (look.label.is_some(), edit.iso.is_some());
         let label = look
             .label
             .clone()
-            .or_else(|| self.options.label.clone().filter(|_| !own.1));
-        let mut whole = overlaid(&self.edit, edit);
-        if own == (true, false) {
-            whole.iso = None;
+            .or_else(|| self.options.label.clone().filter(|_| !has_own_iso));
+        let mut complete_edit = overlay(&self.edit, edit);
+        if has_own_label && !has_own_iso {
+            complete_edit.iso = None;
         }
         let request = FileRequest {
             step,
@@ -139,7 +143,7 @@ impl FileRequest {
                 surfaces: Vec::new(),
                 ..self.options.clone()
             },
-            edit: whole,
+            edit: complete_edit,
         };
         Ok(FileSurface {
             view: request.view(volume.dataset())?,
@@ -151,9 +155,9 @@ impl FileRequest {
     }
 }
 
-/// Overlays an edit with the values of another one. As in edits of a view, a criterion of quality replaces all earlier ones, and another
-/// feature has a range of its own.
-fn overlaid(edit: &Edit, over: &Edit) -> Edit {
+/// Returns `edit` with the values of `over` in place of its own. As in edits of a view, a criterion of quality replaces all others, and a
+/// new feature loses the range of the old one.
+fn overlay(edit: &Edit, over: &Edit) -> Edit {
     let mut edit = edit.clone();
     if over.beta.is_some() || over.error.is_some() || over.triangles.is_some() || over.bytes.is_some() {
         (edit.beta, edit.error, edit.triangles, edit.bytes) = (None, None, None, None);
@@ -166,7 +170,7 @@ fn overlaid(edit: &Edit, over: &Edit) -> Edit {
     if let (Value::Object(all), Value::Object(over)) = (&mut all, values(over)) {
         all.extend(over);
     }
-    // Cannot fail: both were edits.
+    // Cannot fail, because all values come from edits.
     serde_json::from_value(all).unwrap_or_else(|_| over.clone())
 }
 

@@ -5,6 +5,7 @@ mod body;
 mod spool;
 
 use std::iter::once;
+use std::ops::Range;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -226,14 +227,19 @@ impl Made {
         answer.body(body).map_err(ApiError::internal)
     }
 
-    /// Answers with the bytes from position `from` up to but not including `to`.
-    fn range(self, [from, to]: [u64; 2]) -> Result<Response, ApiError> {
-        let range = content_range([from, to], self.digest.bytes);
+    /// Answers with a part of the bytes.
+    fn range(self, part: Range<u64>) -> Result<Response, ApiError> {
+        let range = content_range(&part, self.digest.bytes);
         let answer = self.answer()?.status(StatusCode::PARTIAL_CONTENT);
         let answer = answer
-            .header(header::CONTENT_LENGTH, to - from)
+            .header(header::CONTENT_LENGTH, part.end - part.start)
             .header(header::CONTENT_RANGE, range);
-        let body = body::send(self.file, body::Part::Range([from, to]), self.permit, self.spool);
+        let body = body::send(
+            self.file,
+            body::Part::Range([part.start, part.end]),
+            self.permit,
+            self.spool,
+        );
         answer.body(body).map_err(ApiError::internal)
     }
 

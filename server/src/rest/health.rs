@@ -1,4 +1,4 @@
-//! Whether the server lives, and whether it can work.
+//! Liveness and readiness probes, and the use of memory.
 
 use std::sync::atomic::Ordering;
 use std::time::Duration;
@@ -11,7 +11,8 @@ use super::ApiState;
 use crate::problem::{ApiError, Problem};
 use crate::service::{DeviceState, Preparation};
 
-/// Maximum time for the device to do the smallest job. Probes often have the same time-out.
+/// Maximum time in which the device must finish the smallest job, a read of one byte, for the server to be ready. Probes often have the
+/// same time-out.
 const ANSWER_LIMIT: Duration = Duration::from_secs(5);
 
 /// Whether the process answers.

@@ -1,4 +1,4 @@
-//! Metrics of the server, for Prometheus and other readers of its format.
+//! The route `/metrics`, for Prometheus and other programs that read its format.
 
 use axum::extract::State;
 use axum::http::header;
@@ -27,29 +27,30 @@ const CONTENT_TYPE: &str = "text/plain; version=0.0.4; charset=utf-8";
 )]
 pub async fn show(State(state): State<ApiState>) -> Result<Response, ApiError> {
     let worker = state.worker;
-    metrics::queued(worker.queued());
-    metrics::exports(state.exports.running());
+    metrics::set_queued_jobs(worker.queued());
+    metrics::set_running_exports(state.exports.running());
     // A device that is still being opened, or that failed to open, has no memory to report.
     if let Some(used) = worker.memory_now() {
-        note_memory(&used);
+        report_memory(&used);
     }
     if let Some(jobs) = &state.jobs {
         for (state, count) in jobs.counts().await? {
-            metrics::batch_jobs(state.name(), count);
+            metrics::set_batch_jobs(state.name(), count);
         }
     }
     if let Some(uploads) = &state.uploads {
         let (counts, bytes) = uploads.counts();
         for (state, count) in counts {
-            metrics::uploads(state.name(), count);
+            metrics::set_uploads(state.name(), count);
         }
-        metrics::upload_bytes(bytes);
+        metrics::set_upload_bytes(bytes);
     }
     let text = metrics::render().ok_or_else(|| ApiError::internal("nothing is counted"))?;
     Ok(([(header::CONTENT_TYPE, CONTENT_TYPE)], text).into_response())
 }
 
-fn note_memory(used: &MemoryUse) {
+/// Sets the gauges of memory, in bytes.
+fn report_memory(used: &MemoryUse) {
     for (owner, bytes) in [
         ("volumes", used.volume_bytes),
         ("pyramids", used.pyramid_bytes),
@@ -60,7 +61,7 @@ fn note_memory(used: &MemoryUse) {
         ("surfaces", used.surface_bytes),
         ("program", used.program_bytes),
     ] {
-        metrics::memory(owner, bytes);
+        metrics::set_memory(owner, bytes);
     }
-    metrics::resident(used.resident_bytes);
+    metrics::set_resident_bytes(used.resident_bytes);
 }

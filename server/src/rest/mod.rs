@@ -60,7 +60,7 @@ use crate::problem::{ApiError, Problem};
 use crate::service::DeviceWorker;
 use crate::uploads::Uploads;
 use export_queue::{ExportQueue, QueueLimits};
-use extract::address::KnownTags;
+use extract::address::KnownDigests;
 use precompressed::Precompressed;
 
 /// Maximum bytes of a request body, the same as of a message on the WebSocket. 64 control points take about 4 KiB.
@@ -113,7 +113,7 @@ pub struct ApiState {
     catalog: SharedCatalog,
     worker: DeviceWorker,
     exports: ExportQueue,
-    known_tags: KnownTags,
+    known_digests: KnownDigests,
     slices: Seats,
     overviews: Seats,
     events: Seats,
@@ -134,7 +134,7 @@ impl ApiState {
             catalog,
             worker,
             exports: ExportQueue::new(EXPORTS),
-            known_tags: KnownTags::default(),
+            known_digests: KnownDigests::default(),
             slices: Seats::new(SLICES),
             overviews: Seats::new(OVERVIEWS),
             events: Seats::new(EVENT_STREAMS),

@@ -25,11 +25,12 @@ const PLACEHOLDER: &str = include_str!("web_client/placeholder.html");
 
 /// Vite puts a hash of the content into the names below `assets/`: such a file never changes.
 const HASHED_FOLDER: &str = "assets/";
+/// The file may be cached for a year without a request.
 const FOREVER: &str = "public, max-age=31536000, immutable";
 /// The file may be cached, but must be revalidated each time. The entity tag then gives a 304.
 const REVALIDATE: &str = "no-cache";
 
-/// Maximum cached bodies: more than the client has files.
+/// Maximum number of cached bodies. The client has fewer files.
 const MAX_BODIES: usize = 1_024;
 
 /// Answers paths that have no route. Sends a file of the client if the path names one. Other paths without an extension are addresses of
@@ -37,7 +38,7 @@ const MAX_BODIES: usize = 1_024;
 pub async fn serve(method: Method, uri: Uri, headers: HeaderMap) -> Response {
     let path = uri.path().trim_start_matches('/');
     let first = path.split('/').next().unwrap_or_default();
-    // A path below routes of other kinds, or with one more leading slash, is not an address of the client.
+    // Paths of the API and of the probes are not addresses of the client, even with additional leading slashes.
     if ["api", "metrics", "healthz", "readyz"].contains(&first) {
         return ApiError::not_found(uri.path()).into_response();
     }
@@ -65,6 +66,7 @@ pub async fn serve(method: Method, uri: Uri, headers: HeaderMap) -> Response {
     }
 }
 
+/// Returns the response with a file of the client: its headers, and its body in an encoding that the request accepts.
 fn respond(name: &str, data: Cow<'static, [u8]>, hash: [u8; 32], request: &HeaderMap) -> Response {
     let caching = if name.starts_with(HASHED_FOLDER) {
         FOREVER
@@ -93,8 +95,8 @@ fn body(data: Cow<'static, [u8]>, hash: [u8; 32], content_type: &str) -> Arc<Pre
             Cow::Borrowed(bytes) => Bytes::from_static(bytes),
             Cow::Owned(bytes) => bytes.into(),
         };
-        let is_compressible = ["text/", "application/json", "application/wasm", "image/svg"];
-        let is_compressible = is_compressible.iter().any(|kind| content_type.starts_with(kind));
+        let compressible = ["text/", "application/json", "application/wasm", "image/svg"];
+        let is_compressible = compressible.iter().any(|kind| content_type.starts_with(kind));
         Arc::new(Precompressed::new(bytes, HEXLOWER.encode(&hash), is_compressible))
     });
     Arc::clone(body)

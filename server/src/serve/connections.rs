@@ -290,7 +290,7 @@ impl AsyncRead for Counted {
         let read = Pin::new(&mut self.socket).poll_read(context, to);
         let bytes = to.filled().len() - before;
         if bytes > 0 {
-            self.pace.read(bytes, Instant::now());
+            self.pace.record_read(bytes, Instant::now());
         }
         read
     }

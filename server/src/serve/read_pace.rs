@@ -1,5 +1,5 @@
-//! Rate limit for reading a stream. Clients send little, and messages are limited elsewhere. But a message in endless pieces does not count
-//! as a message while it lasts, and parsing it takes a processor that others wait for.
+//! Rate limit for reading a stream, by the generic cell rate algorithm (GCRA). Clients send little, and complete messages are limited
+//! elsewhere. But a client can send the fragments of one message without end, and parsing them takes processor time from others.
 
 use std::future::Future;
 use std::pin::Pin;
@@ -8,16 +8,16 @@ use std::time::Duration;
 
 use tokio::time::{Instant, Sleep, sleep_until};
 
-/// Bytes that are read in a second: sixteen times the longest messages. Back-pressure of TCP slows down a client that sends more.
-const BYTES_A_SECOND: u32 = 1 << 20;
-/// Burst: bytes that are read at once, after less was sent for a while.
-const BYTES_AT_ONCE: u32 = 1 << 20;
+/// Bytes that are read in a second, sustained: sixteen times the longest message. Back-pressure of TCP slows down a client that sends more.
+const BYTES_PER_SECOND: u32 = 1 << 20;
+/// Bytes that are read without a pause after a time with less traffic.
+const BURST_BYTES: u32 = 1 << 20;
 
 /// Decides when the next bytes may be read.
 #[derive(Default)]
 pub(super) struct ReadPace {
-    /// Time at which all bytes so far would have been read at an even rate.
-    even: Option<Instant>,
+    /// Theoretical arrival time: when all bytes so far would have been read at [`BYTES_PER_SECOND`].
+    arrival: Option<Instant>,
     sleep: Option<Pin<Box<Sleep>>>,
 }
 
@@ -35,15 +35,15 @@ impl ReadPace {
     }
 
     /// Records that `bytes` were read at `now`.
-    pub(super) fn read(&mut self, bytes: usize, now: Instant) {
-        let time = Duration::from_secs_f64(bytes as f64 / f64::from(BYTES_A_SECOND));
-        self.even = Some(self.even.map_or(now, |even| even.max(now)) + time);
+    pub(super) fn record_read(&mut self, bytes: usize, now: Instant) {
+        let time = Duration::from_secs_f64(bytes as f64 / f64::from(BYTES_PER_SECOND));
+        self.arrival = Some(self.arrival.map_or(now, |arrival| arrival.max(now)) + time);
     }
 
-    /// Returns until when reads have to wait; `None` if they need not.
+    /// Returns until when reads must wait; `None` if the next one is allowed now.
     fn held_until(&self, now: Instant) -> Option<Instant> {
-        let at_once = Duration::from_secs_f64(f64::from(BYTES_AT_ONCE) / f64::from(BYTES_A_SECOND));
-        let until = self.even?.checked_sub(at_once)?;
+        let burst = Duration::from_secs_f64(f64::from(BURST_BYTES) / f64::from(BYTES_PER_SECOND));
+        let until = self.arrival?.checked_sub(burst)?;
         (until > now).then_some(until)
     }
 }
@@ -57,26 +57,26 @@ mod tests {
         let (mut pace, mut now) = (ReadPace::default(), Instant::now());
         let second = Duration::from_secs(1);
         assert_eq!(pace.held_until(now), None);
-        pace.read(BYTES_AT_ONCE as usize, now);
+        pace.record_read(BURST_BYTES as usize, now);
         assert_eq!(pace.held_until(now), None);
-        pace.read(BYTES_A_SECOND as usize / 2, now);
+        pace.record_read(BYTES_PER_SECOND as usize / 2, now);
         assert_eq!(pace.held_until(now), Some(now + second / 2));
         now += second / 2;
         assert_eq!(pace.held_until(now), None);
-        pace.read(BYTES_A_SECOND as usize / 4, now);
+        pace.record_read(BYTES_PER_SECOND as usize / 4, now);
         assert_eq!(pace.held_until(now), Some(now + second / 4));
         // After a while as many are read at once again, and no more than that.
         now += 100 * second;
-        pace.read(BYTES_AT_ONCE as usize, now);
+        pace.record_read(BURST_BYTES as usize, now);
         assert_eq!(pace.held_until(now), None);
-        pace.read(BYTES_A_SECOND as usize, now);
+        pace.record_read(BYTES_PER_SECOND as usize, now);
         assert_eq!(pace.held_until(now), Some(now + second));
     }
 
     #[tokio::test]
     async fn who_waits_is_woken() {
         let mut pace = ReadPace::default();
-        pace.read(BYTES_AT_ONCE as usize + BYTES_A_SECOND as usize / 20, Instant::now());
+        pace.record_read(BURST_BYTES as usize + BYTES_PER_SECOND as usize / 20, Instant::now());
         let start = Instant::now();
         std::future::poll_fn(|context| pace.poll(context)).await;
         let waited = start.elapsed();

@@ -1,5 +1,5 @@
-//! Read-ahead: while a viewer goes through the time steps one by one, loads the next steps before the viewer reaches them. Read-ahead takes
-//! no memory from data in use: neither from volumes that jobs work on (`pins`), nor from time steps that viewers have open
+//! Read-ahead: while a viewer goes through the time steps one by one, the server loads the next step before the viewer reaches it. It never
+//! evicts data in use for this: neither volumes that jobs work on (`pins`), nor time steps that viewers have open
 //! ([`OpenStepGuard`]).
 
 use isopeel_extraction::{MakeSpaceAhead, Masking, ReadAhead, Release, VolumeKey, WorkError, view_keys, with_inputs};
@@ -12,8 +12,8 @@ use super::worker::DeviceWorker;
 
 impl DeviceWorker {
     /// Marks a time step as open in a viewer until the returned guard is dropped.
-    pub fn hold(&self, volume: &VolumeStep) -> OpenStepGuard {
-        self.shared.ahead.hold(&volume.key())
+    pub fn mark_open(&self, volume: &VolumeStep) -> OpenStepGuard {
+        self.shared.ahead.mark_open(&volume.key())
     }
 
     /// Loads the fields that views use onto the device, if they fit into the `budget` bytes of fields that were read ahead and are not used
@@ -46,7 +46,7 @@ impl DeviceWorker {
                 permit = self.shared.ahead.permits.acquire() => permit.map_err(|_| WorkError::Stopped)?,
                 () = token.cancelled() => return Ok(()),
             };
-            if token.is_cancelled() || !self.has_space_ahead(volume, &key, budget).await? {
+            if token.is_cancelled() || !self.make_space_ahead(volume, &key, budget).await? {
                 return Ok(());
             }
             self.load_ahead(volume, key, budget, token).await?;
@@ -55,19 +55,19 @@ impl DeviceWorker {
         Ok(())
     }
 
-    /// Returns the limits of reading ahead.
-    pub(super) fn limits_ahead(&self, budget: u64) -> ReadAhead {
+    /// Returns the limits of read-ahead: its budget in bytes, and the open time steps, which it must not evict.
+    pub(super) fn read_ahead_limits(&self, budget: u64) -> ReadAhead {
         let open = self.shared.ahead.open();
         ReadAhead { budget, open }
     }
 
-    /// Makes space for a field that is not resident. Returns false if it is resident already, or if space would have to come from data in
-    /// use or from beyond the budget.
-    async fn has_space_ahead(&self, volume: &VolumeStep, key: &VolumeKey, budget: u64) -> Result<bool, WorkError> {
+    /// Makes space on the device for a field that is not resident. Returns false if there is nothing to load: the field is resident, or space
+    /// for it would exceed the budget or take memory from data in use.
+    async fn make_space_ahead(&self, volume: &VolumeStep, key: &VolumeKey, budget: u64) -> Result<bool, WorkError> {
         let request = MakeSpaceAhead {
             volume: volume.clone(),
             key: key.clone(),
-            ahead: self.limits_ahead(budget),
+            ahead: self.read_ahead_limits(budget),
         };
         self.run_for_cache(request).await
     }

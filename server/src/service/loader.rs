@@ -32,7 +32,7 @@ impl DeviceWorker {
     pub(super) async fn load(&self, volume: &VolumeStep, key: VolumeKey) -> Result<(), WorkError> {
         let load = self.shared.loads.get_or_insert(&key);
         let _waiting = load.wait();
-        let running = Arc::clone(&load.running).try_lock_owned();
+        let running = Arc::clone(&load.lock).try_lock_owned();
         if running.is_ok() {
             load.restart();
         }
@@ -42,7 +42,7 @@ impl DeviceWorker {
         let running = match running {
             Ok(running) => running,
             Err(_) => {
-                let running = Arc::clone(&load.running).lock_owned().await;
+                let running = Arc::clone(&load.lock).lock_owned().await;
                 load.restart();
                 running
             }
@@ -70,7 +70,7 @@ impl DeviceWorker {
         token: &CancellationToken,
     ) -> Result<(), WorkError> {
         let load = self.shared.loads.get_or_insert(&key);
-        let Ok(running) = Arc::clone(&load.running).try_lock_owned() else {
+        let Ok(running) = Arc::clone(&load.lock).try_lock_owned() else {
             return Ok(());
         };
         load.restart();
@@ -206,7 +206,7 @@ impl DeviceWorker {
                     missing,
                     ahead: match purpose {
                         Purpose::Now => None,
-                        Purpose::Ahead { budget } => Some(self.limits_ahead(budget)),
+                        Purpose::Ahead { budget } => Some(self.read_ahead_limits(budget)),
                     },
                 };
                 if !self.run_for_cache(begin).await? {

@@ -16,17 +16,18 @@ use super::device_thread::Preparation;
 /// Maximum number of files that are read at the same time. Each load holds a few pieces of a field in host memory.
 const CONCURRENT_LOADS: usize = 2;
 
-/// Number of entries above which the unused ones are dropped. An entry takes some hundred bytes, and each new expression of a client adds
-/// one.
-const MAX_IDLE: usize = 4096;
+/// Number of entries from which on the unused ones are dropped. An entry takes some hundred bytes, and each new expression of a client
+/// adds one.
+const MAX_ENTRIES: usize = 4096;
 
-/// How long a load continues without waiting callers, because an edit in that time may need the same field again.
+/// How long a load continues after its last waiting caller has given up: the next edit may need the same field.
 const LINGER: Duration = Duration::from_secs(2);
 
 /// The running and earlier loads of all fields.
 pub(super) struct Loads {
     /// One entry for each field that was loaded. Entries stay until there are too many.
     fields: Mutex<HashMap<VolumeKey, Arc<FieldLoad>>>,
+    /// Permits to read a file: [`CONCURRENT_LOADS`].
     pub permits: Arc<Semaphore>,
 }
 
@@ -38,10 +39,10 @@ impl Loads {
         }
     }
 
-    /// Returns the load of a field, with its progress.
+    /// Returns the entry of a field. Adds one if there is none.
     pub(super) fn get_or_insert(&self, key: &VolumeKey) -> Arc<FieldLoad> {
         let mut fields = lock(&self.fields);
-        if fields.len() >= MAX_IDLE && !fields.contains_key(key) {
+        if fields.len() >= MAX_ENTRIES && !fields.contains_key(key) {
             // Keeps the loads that are in use.
             fields.retain(|_, load| Arc::strong_count(load) > 1);
         }
@@ -53,7 +54,7 @@ impl Loads {
 #[derive(Default)]
 pub(super) struct FieldLoad {
     /// Held by the caller that loads the field, so that concurrent callers load it once.
-    pub running: Arc<tokio::sync::Mutex<()>>,
+    pub lock: Arc<tokio::sync::Mutex<()>>,
     /// Progress of the running load, or of the last one.
     pub progress: Arc<ReadProgress>,
     /// Cancels the running load.
@@ -62,17 +63,17 @@ pub(super) struct FieldLoad {
     waiting: AtomicUsize,
 }
 
-/// A caller that waits for a load.
-pub(super) struct Waiting(Arc<FieldLoad>);
+/// Counts a caller that waits for a load, until it is dropped.
+pub(super) struct WaitGuard(Arc<FieldLoad>);
 
 impl FieldLoad {
     /// Registers a waiting caller until the returned guard is dropped. The load is cancelled [`LINGER`] after the last guard was dropped.
-    pub(super) fn wait(self: &Arc<Self>) -> Waiting {
+    pub(super) fn wait(self: &Arc<Self>) -> WaitGuard {
         self.waiting.fetch_add(1, Ordering::Relaxed);
-        Waiting(Arc::clone(self))
+        WaitGuard(Arc::clone(self))
     }
 
-    /// Begins the load, or begins it again: resets its progress and cancellation.
+    /// Prepares for a new load or a retry: resets progress and cancellation.
     pub(super) fn restart(&self) {
         self.progress.restart();
         *lock(&self.token) = CancellationToken::new();
@@ -93,10 +94,10 @@ impl FieldLoad {
     }
 }
 
-impl Drop for Waiting {
+impl Drop for WaitGuard {
     fn drop(&mut self) {
         let is_last = self.0.waiting.fetch_sub(1, Ordering::Relaxed) == 1;
-        let is_running = self.0.running.try_lock().is_err();
+        let is_running = self.0.lock.try_lock().is_err();
         if is_last
             && is_running
             && let Ok(runtime) = tokio::runtime::Handle::try_current()
@@ -136,8 +137,8 @@ pub(super) struct FieldWork {
     load: Option<LoadWork>,
     /// Histograms that are still to be made.
     histograms: Vec<HistogramKey>,
-    /// Histograms that were made since.
-    made: u64,
+    /// Number of histograms that were made since.
+    finished_histograms: u64,
 }
 
 /// A field that is not resident.
@@ -151,20 +152,20 @@ struct LoadWork {
 }
 
 impl FieldWork {
-    /// Returns the work on a field that opening a volume with this view requires.
+    /// Returns the work that opening a volume with this view requires on one of its fields.
     pub(super) fn new(
         volume: &VolumeStep,
         view: &View,
         field: &Field,
         is_resident: bool,
-        kept: &HistogramCache,
+        cache: &HistogramCache,
     ) -> Self {
         let derived = ALWAYS_DESCRIBED.iter().map(|&feature| FeatureName::Derived(feature));
         let histograms: Vec<_> = [FeatureName::None]
             .into_iter()
             .chain(derived)
             .map(|feature| HistogramKey::new(volume, &field.name, &feature))
-            .filter(|key| kept.peek(key).is_none())
+            .filter(|key| cache.peek(key).is_none())
             .collect();
         let is_resolved = view.iso.is_some() && view.feature_range.is_some();
         let is_in_view = view.field == field.name || view.feature.fields(&view.field).contains(&field.name.as_str());
@@ -178,7 +179,7 @@ impl FieldWork {
                 finished: false,
             }),
             histograms,
-            made: 0,
+            finished_histograms: 0,
         }
     }
 }
@@ -214,7 +215,7 @@ impl OpeningWatch {
         for field in lock(&self.fields).iter_mut() {
             let before = field.histograms.len();
             field.histograms.retain(|histogram| histogram != key);
-            field.made += (before - field.histograms.len()) as u64;
+            field.finished_histograms += (before - field.histograms.len()) as u64;
         }
     }
 
@@ -222,8 +223,9 @@ impl OpeningWatch {
     pub fn progress(&self) -> OpeningProgress {
         let mut all = OpeningProgress::default();
         for field in lock(&self.fields).iter() {
-            all.bytes += field.made * field.sample_bytes;
-            all.total_bytes += (field.made + field.histograms.len() as u64) * field.sample_bytes;
+            // Each histogram is a pass over the samples. A load reads the file and uploads the samples.
+            all.bytes += field.finished_histograms * field.sample_bytes;
+            all.total_bytes += (field.finished_histograms + field.histograms.len() as u64) * field.sample_bytes;
             let Some(load) = &field.load else { continue };
             all.total_bytes += load.stored_bytes + field.sample_bytes;
             all.bytes += match &load.progress {

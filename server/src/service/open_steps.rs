@@ -29,7 +29,7 @@ impl AheadState {
     }
 
     /// Marks a time step as open in a viewer until the returned guard is dropped.
-    pub(super) fn hold(&self, step: &StepKey) -> OpenStepGuard {
+    pub(super) fn mark_open(&self, step: &StepKey) -> OpenStepGuard {
         *lock(&self.open_steps).entry(step.clone()).or_default() += 1;
         OpenStepGuard(Some((Arc::clone(&self.open_steps), step.clone())))
     }

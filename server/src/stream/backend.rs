@@ -25,12 +25,12 @@ const PROGRESS_INTERVAL: Duration = Duration::from_millis(100);
 
 /// Catalog and device of a session.
 pub trait Backend: Clone + Send + Sync + 'static {
-    /// Returns the dataset of that id, if the viewer may see it.
+    /// Returns the dataset with the id `volume`, if there is one that the user may see.
     fn find(&self, volume: &str, who: &Identity) -> Option<Arc<Dataset>>;
 
-    /// Returns a backend whose work is accounted to this viewer's user.
+    /// Returns a backend that charges its work to this user, for the limits per user.
     #[must_use]
-    fn used_by(self, _who: &Identity) -> Self {
+    fn charged_to(self, _who: &Identity) -> Self {
         self
     }
 
@@ -48,14 +48,14 @@ pub trait Backend: Clone + Send + Sync + 'static {
         progress: &watch::Sender<OpeningProgress>,
     ) -> impl Future<Output = Result<Opening, WorkError>> + Send;
 
-    /// Describes a volume.
+    /// Describes a volume: the same JSON as that of `GET /api/v1/volumes/{id}`.
     fn describe(
         &self,
         volume: &VolumeStep,
         token: &CancellationToken,
     ) -> impl Future<Output = Result<Box<RawValue>, WorkError>> + Send;
 
-    /// Prefetches the samples of a time step that these views use, if there is memory for them.
+    /// Reads ahead the samples of a time step that these views use, if there is memory for them.
     fn read_ahead(
         &self,
         volume: &VolumeStep,
@@ -63,17 +63,17 @@ pub trait Backend: Clone + Send + Sync + 'static {
         token: &CancellationToken,
     ) -> impl Future<Output = ()> + Send;
 
-    /// Marks a time step as open until the returned guard is dropped: prefetching others does not evict its samples.
-    fn hold(&self, _volume: &VolumeStep) -> OpenStepGuard {
+    /// Marks a time step as open until the returned guard is dropped: read-ahead of others does not evict its samples.
+    fn mark_open(&self, _volume: &VolumeStep) -> OpenStepGuard {
         OpenStepGuard::default()
     }
 
-    /// Whether volumes and time steps may appear.
+    /// Whether volumes and time steps may appear while the server runs.
     fn watches(&self) -> bool {
         false
     }
 
-    /// Returns the id of the engine that is in use now.
+    /// Returns the id of the current engine. A device that was lost and opened again has another id.
     fn engine(&self) -> EngineId {
         EngineId::default()
     }
@@ -130,12 +130,12 @@ pub trait Backend: Clone + Send + Sync + 'static {
     ) -> impl Future<Output = Result<Answer, WorkError>> + Send;
 }
 
-/// An open volume.
+/// What a session learns when a volume was opened.
 #[derive(Clone, Debug)]
 pub struct Opening {
     /// Description of the volume, the same JSON as that of `GET /api/v1/volumes/{id}`.
     pub volume: Box<RawValue>,
-    /// The view with every value in force.
+    /// The opening view, with every value resolved.
     pub view: View,
     /// Name of the device.
     pub device: String,
@@ -143,27 +143,27 @@ pub struct Opening {
     pub shares_processors: bool,
 }
 
-/// The catalog and the device.
+/// The backend of a server: its catalog and its device worker.
 #[derive(Clone)]
-pub struct Live {
+pub struct LiveBackend {
     catalog: SharedCatalog,
     worker: DeviceWorker,
     options: LiveOptions,
 }
 
-/// How viewers and volumes with time steps are served.
+/// Options of the [`LiveBackend`].
 #[derive(Clone, Copy, Debug)]
 pub struct LiveOptions {
-    /// Maximum bytes on the device of prefetched time steps; 0 turns prefetching off.
+    /// Maximum bytes on the device of time steps that are read ahead; 0 turns read-ahead off.
     pub ahead_bytes: u64,
     /// Maximum bytes of chunks that are cached for viewers of equal views; 0 disables the cache.
     pub shared_bytes: u64,
-    /// Whether volumes and time steps may appear.
+    /// Whether volumes and time steps may appear while the server runs.
     pub watches: bool,
 }
 
 impl Default for LiveOptions {
-    /// Nothing is read ahead.
+    /// Read-ahead is off.
     fn default() -> Self {
         Self {
             ahead_bytes: 0,
@@ -173,8 +173,8 @@ impl Default for LiveOptions {
     }
 }
 
-impl Live {
-    /// Offers the volumes of a catalog and surfaces of them.
+impl LiveBackend {
+    /// Creates a backend that offers the volumes of a catalog.
     pub fn new(catalog: SharedCatalog, worker: DeviceWorker, options: LiveOptions) -> Self {
         Self {
             catalog,
@@ -184,12 +184,12 @@ impl Live {
     }
 }
 
-impl Backend for Live {
+impl Backend for LiveBackend {
     fn find(&self, volume: &str, who: &Identity) -> Option<Arc<Dataset>> {
         self.catalog.find(volume, who.reader())
     }
 
-    fn used_by(self, who: &Identity) -> Self {
+    fn charged_to(self, who: &Identity) -> Self {
         Self {
             worker: self.worker.charged_to(who.limited_user()),
             ..self
@@ -214,8 +214,8 @@ impl Backend for Live {
             };
             let (worker, watch) = self.worker.with_watch(volume, view).await?;
             let (view, volume) = tokio::select! {
-                read = read(&worker, volume, view, token) => read?,
-                never = report(&watch, progress) => never,
+                read = describe_and_resolve(&worker, volume, view, token) => read?,
+                never = report_progress(&watch, progress) => never,
             };
             Ok(Opening {
                 volume,
@@ -233,7 +233,7 @@ impl Backend for Live {
 
     async fn describe(&self, volume: &VolumeStep, token: &CancellationToken) -> Result<Box<RawValue>, WorkError> {
         tokio::select! {
-            description = described(&self.worker, volume) => description,
+            description = describe_json(&self.worker, volume) => description,
             () = token.cancelled() => Err(WorkError::Cancelled),
         }
     }
@@ -245,8 +245,8 @@ impl Backend for Live {
         }
     }
 
-    fn hold(&self, volume: &VolumeStep) -> OpenStepGuard {
-        self.worker.hold(volume)
+    fn mark_open(&self, volume: &VolumeStep) -> OpenStepGuard {
+        self.worker.mark_open(volume)
     }
 
     fn watches(&self) -> bool {
@@ -305,7 +305,7 @@ impl Backend for Live {
 }
 
 /// Returns a view with every value resolved, and the description of its volume.
-async fn read(
+async fn describe_and_resolve(
     worker: &DeviceWorker,
     volume: &VolumeStep,
     view: &View,
@@ -313,12 +313,13 @@ async fn read(
 ) -> Result<(View, Box<RawValue>), WorkError> {
     // The description comes first: it takes many jobs, so viewers see progress, and resolving the view then finds the histograms in the
     // cache.
-    let description = described(worker, volume).await?;
+    let description = describe_json(worker, volume).await?;
     let view = worker.resolve(volume, view, token).await?;
     Ok((view, description))
 }
 
-async fn described(worker: &DeviceWorker, volume: &VolumeStep) -> Result<Box<RawValue>, WorkError> {
+/// Returns the description of a volume as JSON.
+async fn describe_json(worker: &DeviceWorker, volume: &VolumeStep) -> Result<Box<RawValue>, WorkError> {
     let description = describe(worker, volume).await?;
     serde_json::value::to_raw_value(&description).map_err(|error| {
         tracing::error!(%error, "a volume's description is no JSON");
@@ -345,17 +346,17 @@ async fn report_device(mut states: watch::Receiver<DeviceState>, progress: &watc
     }
 }
 
-/// Publishes the progress of the open, at most once per [`PROGRESS_INTERVAL`] and only if it has advanced. Never returns.
-async fn report(watch: &OpeningWatch, progress: &watch::Sender<OpeningProgress>) -> ! {
+/// Publishes the progress of opening a volume, at most once per [`PROGRESS_INTERVAL`] and only if it has advanced. Never returns.
+async fn report_progress(watch: &OpeningWatch, progress: &watch::Sender<OpeningProgress>) -> ! {
     loop {
         tokio::time::sleep(PROGRESS_INTERVAL).await;
         let now = watch.progress();
-        progress.send_if_modified(|stated| {
-            let goes_on = now.bytes > stated.bytes;
-            if goes_on {
-                *stated = now;
+        progress.send_if_modified(|reported| {
+            let has_advanced = now.bytes > reported.bytes;
+            if has_advanced {
+                *reported = now;
             }
-            goes_on
+            has_advanced
         });
     }
 }

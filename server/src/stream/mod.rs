@@ -1,4 +1,4 @@
-//! One viewer: its session and its socket. Normative: `PROTOCOL.md`.
+//! The stream: a WebSocket connection and a session for each viewer. Normative: `PROTOCOL.md`.
 //!
 //! - `socket`: the tasks that read and write a connection.
 //! - `session`: the state of one viewer and its surfaces, in one task.
@@ -18,8 +18,8 @@ mod viewers;
 
 use axum::Router;
 use axum::extract::State;
-use axum::extract::ws::WebSocketUpgrade;
 use axum::extract::ws::rejection::WebSocketUpgradeRejection;
+use axum::extract::ws::{WebSocket, WebSocketUpgrade};
 use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use axum::routing::any;
@@ -30,7 +30,7 @@ use crate::access::Identity;
 use crate::metrics::ConnectedViewer;
 use crate::problem::ApiError;
 use crate::wire::messages::{CloseCode, MAX_MESSAGE_BYTES, SUBPROTOCOL};
-pub use backend::{Backend, Live, LiveOptions, Opening, SHARED_BYTES};
+pub use backend::{Backend, LiveBackend, LiveOptions, Opening, SHARED_BYTES};
 use groups::Groups;
 pub use session::StepTimes;
 use shared::Shared;
@@ -46,7 +46,7 @@ const MAX_READ_BYTES: usize = 16 * MAX_MESSAGE_BYTES;
 /// for servers that receive large messages.
 const READ_BUFFER_BYTES: usize = 4 << 10;
 
-/// What sessions share with each other: viewers, surfaces and groups. Clones are cheap.
+/// State that the sessions of all viewers share: count of viewers, cached surfaces, and groups. Clones are cheap.
 #[derive(Clone)]
 struct Common {
     viewers: Viewers,
@@ -77,7 +77,7 @@ pub struct StreamState<B> {
 }
 
 impl<B: Backend> StreamState<B> {
-    /// Cancelling `shutdown` ends the connections with [`CloseCode::Shutdown`].
+    /// Creates the state, with a cache of the default size. Cancelling `shutdown` ends the connections with [`CloseCode::Shutdown`].
     pub fn new(backend: B, deadlines: Deadlines, shutdown: CancellationToken) -> Self {
         Self {
             backend,
@@ -110,6 +110,7 @@ pub fn router<B: Backend>(state: StreamState<B>) -> Router {
         .with_state(state)
 }
 
+/// Upgrades a request to a WebSocket, if the client offers the subprotocol.
 async fn upgrade<B: Backend>(
     State(state): State<StreamState<B>>,
     who: Identity,
@@ -123,41 +124,47 @@ async fn upgrade<B: Backend>(
         }
     };
     if socket.selected_protocol().is_none() {
-        let offered = headers.get_all(header::SEC_WEBSOCKET_PROTOCOL).iter();
-        let offered: Vec<_> = offered.map(|value| value.to_str().unwrap_or("?")).collect();
-        let message = format!(
-            "the subprotocols offered are {:?}, expected {SUBPROTOCOL:?}, the only one of isopeel {}: use a client of the same version, or \
-             load the page again",
-            offered.join(", "),
-            env!("CARGO_PKG_VERSION")
-        );
-        return ApiError::new(StatusCode::BAD_REQUEST, "bad-request", message).into_response();
+        return wrong_subprotocol(&headers).into_response();
     }
     let tasks = state.tasks.clone();
     socket
         .max_message_size(MAX_READ_BYTES)
         .max_frame_size(MAX_READ_BYTES)
         .read_buffer_size(READ_BUFFER_BYTES)
-        .on_upgrade(move |socket| {
-            tasks.track_future(async move {
-                let StreamState {
-                    backend,
-                    deadlines,
-                    common,
-                    shutdown,
-                    ..
-                } = state;
-                match common.viewers.enter(&who) {
-                    Ok(_entered) => {
-                        let _connected = ConnectedViewer::enter();
-                        socket::serve(socket, backend.used_by(&who), common, who, deadlines, shutdown).await;
-                    }
-                    Err(none) => {
-                        tracing::debug!("a viewer is refused: {none}");
-                        ConnectedViewer::refused();
-                        socket::refuse(socket, CloseCode::TooManyViewers, deadlines).await;
-                    }
-                }
-            })
-        })
+        .on_upgrade(move |socket| tasks.track_future(serve_viewer(socket, state, who)))
+}
+
+/// Serves a viewer until the connection ends. Refuses the viewer if there are too many.
+async fn serve_viewer<B: Backend>(socket: WebSocket, state: StreamState<B>, who: Identity) {
+    let StreamState {
+        backend,
+        deadlines,
+        common,
+        shutdown,
+        ..
+    } = state;
+    match common.viewers.enter(&who) {
+        Ok(_seat) => {
+            let _connected = ConnectedViewer::enter();
+            socket::serve(socket, backend.charged_to(&who), common, who, deadlines, shutdown).await;
+        }
+        Err(no_seat) => {
+            tracing::debug!("a viewer is refused: {no_seat}");
+            ConnectedViewer::refused();
+            socket::refuse(socket, CloseCode::TooManyViewers, deadlines).await;
+        }
+    }
+}
+
+/// Returns the error for a client that does not offer [`SUBPROTOCOL`].
+fn wrong_subprotocol(headers: &HeaderMap) -> ApiError {
+    let offered = headers.get_all(header::SEC_WEBSOCKET_PROTOCOL).iter();
+    let offered: Vec<_> = offered.map(|value| value.to_str().unwrap_or("?")).collect();
+    let message = format!(
+        "the subprotocols offered are {:?}, expected {SUBPROTOCOL:?}, the only one of isopeel {}: use a client of the same version, or \
+         load the page again",
+        offered.join(", "),
+        env!("CARGO_PKG_VERSION")
+    );
+    ApiError::new(StatusCode::BAD_REQUEST, "bad-request", message)
 }

@@ -396,7 +396,7 @@ impl<B: Backend> Session<B> {
                 if Line::is_own(number) {
                     self.line.received(number);
                 } else {
-                    self.pace.received(number);
+                    self.pace.on_pong(number);
                 }
                 return None;
             }
@@ -434,7 +434,7 @@ impl<B: Backend> Session<B> {
                         self.on_question(surface, Question::Distribution(bins));
                     }
                     ClientMessage::Annotate { surface, annotation } => {
-                        self.on_question(surface, questions::annotate(annotation));
+                        self.on_question(surface, questions::annotation_question(annotation));
                     }
                     ClientMessage::Curve { surface } => self.on_question(surface, Question::Curve),
                     ClientMessage::Drawn { generation } => self.on_drawn(generation),
@@ -471,14 +471,14 @@ impl<B: Backend> Session<B> {
     }
 
     fn refuse_volume(&mut self, id: &str) {
-        self.open_pace.opened(Instant::now());
+        self.open_pace.record_opening(Instant::now());
         self.close_volume();
         let message = format!("no volume has the id {id:?}, GET /api/v1/volumes lists those there are");
         self.send_error("unknown-volume", message, true);
     }
 
     fn open_step(&mut self, dataset: Arc<Dataset>, step: u32, lease: Lease) {
-        self.open_pace.opened(Instant::now());
+        self.open_pace.record_opening(Instant::now());
         self.close_volume();
         let view = match opening_view(&dataset) {
             Ok(view) => view,
@@ -489,7 +489,7 @@ impl<B: Backend> Session<B> {
             Err(error) => return self.send_error("unknown-step", error.to_string(), true),
         };
         self.opens += 1;
-        let step_guard = self.backend.hold(&volume);
+        let step_guard = self.backend.mark_open(&volume);
         self.opened = Some(OpenVolume::new(volume, view, step_guard, lease));
     }
 

@@ -12,7 +12,7 @@ use super::folder::{FILES, write_record};
 use super::names::common_folder;
 use super::state::{UploadInfo, UploadState};
 use super::upload::Upload;
-use super::{Reader, Uploads, counted};
+use super::{Reader, Uploads, quota_bytes_of};
 use crate::pool::ReadPool;
 
 impl Uploads {
@@ -28,7 +28,7 @@ impl Uploads {
             (status.state, status.received)
         };
         if state == UploadState::Ready {
-            return Ok(self.shown(&upload));
+            return Ok(self.info(&upload));
         }
         if received < upload.total {
             let missing = upload.contents.file_at(received);
@@ -47,7 +47,7 @@ impl Uploads {
         let outcome = tokio::task::spawn_blocking(reading).await?;
         upload.status().error = outcome.as_ref().err().map(ToString::to_string);
         outcome?;
-        Ok(self.shown(&upload))
+        Ok(self.info(&upload))
     }
 
     fn read(&self, upload: &Upload) -> Result<(), UploadError> {
@@ -88,7 +88,7 @@ impl Uploads {
         let others = all
             .iter()
             .filter(|one| one.owner == upload.owner && one.id != upload.id);
-        counted(&others.collect::<Vec<_>>())
+        quota_bytes_of(&others.collect::<Vec<_>>())
     }
 
     /// Returns by how many bytes the contents of compressed files exceed these files.

@@ -123,7 +123,7 @@ impl UploadFolder {
 
     /// Renames the folder of an upload, so that the upload is gone even if the process ends now. Returns the new path, which is to be
     /// removed.
-    pub(super) fn put_aside(&self, id: &str) -> io::Result<PathBuf> {
+    pub(super) fn rename_for_removal(&self, id: &str) -> io::Result<PathBuf> {
         let aside = self.path.join(format!("{ASIDE}{id}"));
         std::fs::rename(self.path.join(id), &aside)?;
         Ok(aside)
@@ -166,13 +166,13 @@ fn read_record(folder: &Path) -> io::Result<Record> {
     Ok(serde_json::from_slice(&std::fs::read(folder.join(RECORD))?)?)
 }
 
-/// When an upload was used last: its record's time of change.
-pub(super) fn used(folder: &Path) -> io::Result<SystemTime> {
+/// Returns when an upload was used last: the modification time of its record.
+pub(super) fn read_last_use(folder: &Path) -> io::Result<SystemTime> {
     std::fs::metadata(folder.join(RECORD))?.modified()
 }
 
 /// Stores the time at which an upload was used last.
-pub(super) fn note_use(folder: &Path, when: SystemTime) -> io::Result<()> {
+pub(super) fn write_last_use(folder: &Path, when: SystemTime) -> io::Result<()> {
     OpenOptions::new()
         .write(true)
         .open(folder.join(RECORD))?
@@ -248,7 +248,7 @@ mod tests {
         let kept = folder.make("kept", &record()).unwrap();
         let removed = folder.make("removed", &record()).unwrap();
         std::fs::write(files_of(&removed).join("a.nii"), b"1234567").unwrap();
-        let aside = folder.put_aside("removed").unwrap();
+        let aside = folder.rename_for_removal("removed").unwrap();
         assert!(aside.exists() && !removed.exists());
         let half = path.join(".half");
         private_folder::make(&half).unwrap();
@@ -265,8 +265,8 @@ mod tests {
         write_record(&kept, &ready).unwrap();
         assert!(folder.list().unwrap()[0].2.is_ready);
         let then = SystemTime::now() - std::time::Duration::from_secs(1_000);
-        note_use(&kept, then).unwrap();
-        let found = used(&kept).unwrap();
+        write_last_use(&kept, then).unwrap();
+        let found = read_last_use(&kept).unwrap();
         assert!(found.duration_since(then).unwrap_or_default().as_secs() < 1);
     }
 }

@@ -29,7 +29,7 @@ use tokio_util::sync::CancellationToken;
 use crate::clock::rfc3339_seconds;
 pub use error::UploadError;
 pub use folder::{FolderError, UploadFolder};
-use folder::{Record, note_use, used};
+use folder::{Record, read_last_use, write_last_use};
 pub use names::{DeclaredFile, MAX_FILES, NameError};
 use slots::Slots;
 pub use state::{UploadInfo, UploadList, UploadRequest, UploadState};
@@ -37,21 +37,22 @@ use upload::Upload;
 
 /// Maximum bytes of a request that declares files: 20,000 names of 200 bytes.
 pub const MAX_REQUEST_BYTES: usize = 4 << 20;
-/// Maximum uploads of a user: each is one of the volumes in their list.
+/// Maximum uploads of a user. Each adds to the list of volumes that the user sees.
 pub const MAX_UPLOADS: usize = 100;
-/// Bytes of the disk that stay free, for all else that is on it.
+/// Bytes of the disk that uploads leave free for other data.
 const RESERVE_BYTES: u64 = 1 << 30;
-/// Uploads that are read as volumes at a time, one of a user: the headers of thousands of files.
+/// Maximum uploads that are read as volumes at the same time, at most one for each user: each may have headers of thousands of files.
 const MAX_FINISHES: usize = 2;
-/// Random bytes of an id: too many for another id to be guessed.
+/// Random bytes of an id: so many that an id cannot be guessed.
 const ID_BYTES: usize = 16;
-/// Longest interval between two checks for expired uploads.
-const LOOK: Duration = Duration::from_secs(60);
+/// Maximum interval between two checks for expired uploads.
+const MAX_EXPIRY_INTERVAL: Duration = Duration::from_secs(60);
 
-/// Longest time that an upload is overdue before it is removed: a clock that is set wrongly is noticed, or set right, within it.
-const MAX_PATIENCE: Duration = Duration::from_secs(3600);
+/// Maximum time between the expiry of an upload and its removal. A clock that was set wrongly may be corrected within this time, so that
+/// the upload is kept.
+const MAX_GRACE_PERIOD: Duration = Duration::from_secs(3600);
 
-/// Since when uploads are overdue, by their ids.
+/// When each overdue upload was first found to be expired, by its id.
 type Overdue = HashMap<String, Instant>;
 
 /// Limits on the size and the age of uploads.
@@ -74,18 +75,18 @@ struct Shared {
     limits: Limits,
     frame: Frame,
     catalog: SharedCatalog,
-    /// By their ids.
+    /// Uploads by their ids.
     uploads: Mutex<HashMap<String, Arc<Upload>>>,
     /// Held while an upload is created, so that concurrent declarations all count in the quota.
     creating: Mutex<()>,
-    /// Parts that are received.
+    /// Slots for parts that are being received.
     parts: Slots,
-    /// Uploads that are read.
+    /// Slots for uploads that are being read as volumes.
     finishes: Slots,
 }
 
 impl Uploads {
-    /// Opens the uploads of a folder, and offers the volumes of those that were finished. Reads their headers.
+    /// Opens the uploads of a folder, and adds the volumes of finished ones to the catalog. Reads the headers of their files.
     ///
     /// # Errors
     /// The folder cannot be read.
@@ -102,7 +103,7 @@ impl Uploads {
             finishes: Slots::new(MAX_FINISHES, 1),
         }));
         for (id, path, record) in found {
-            let (is_ready, used) = (record.is_ready, used(&path)?);
+            let (is_ready, used) = (record.is_ready, read_last_use(&path)?);
             let upload = Arc::new(Upload::new(id.clone(), path, record, 0, used));
             let received = upload.contents.settle()?;
             upload.status().received = received;
@@ -119,25 +120,26 @@ impl Uploads {
         let Limits {
             keep, keep_unfinished, ..
         } = self.0.limits;
-        let pause = (keep.min(keep_unfinished) / 4).clamp(Duration::from_millis(250), LOOK);
+        let pause = (keep.min(keep_unfinished) / 4).clamp(Duration::from_millis(250), MAX_EXPIRY_INTERVAL);
         let mut overdue = Overdue::default();
         while tokio::time::timeout(pause, stop.cancelled()).await.is_err() {
             self.expire(&mut overdue, SystemTime::now(), Instant::now()).await;
         }
     }
 
-    /// Removes uploads that have been overdue for a while. `now` is wall-clock time, which may be wrong at times; `at` is monotonic time.
+    /// Removes uploads that have been overdue for their grace period. `now` is wall-clock time, with which expiries are compared; `at`
+    /// is monotonic time, by which the grace period is measured, because the wall clock may be set.
     async fn expire(&self, overdue: &mut Overdue, now: SystemTime, at: Instant) {
         let all: Vec<Arc<Upload>> = self.all().values().cloned().collect();
         overdue.retain(|id, _| all.iter().any(|upload| upload.id == *id));
         for upload in all {
-            self.note(&upload);
-            if self.expires(&upload) > now {
+            self.record_last_use(&upload);
+            if self.expiry(&upload) > now {
                 overdue.remove(&upload.id);
                 continue;
             }
             let since = *overdue.entry(upload.id.clone()).or_insert(at);
-            if at.saturating_duration_since(since) >= self.patience(&upload) {
+            if at.saturating_duration_since(since) >= self.grace_period(&upload) {
                 tracing::info!(upload = upload.id, "an upload has expired");
                 if let Err(error) = self.remove(&upload).await {
                     tracing::error!(
@@ -150,42 +152,45 @@ impl Uploads {
         }
     }
 
-    /// Updates the time at which the volumes of an upload were used last, in memory and on the disk.
-    fn note(&self, upload: &Upload) {
+    /// Stores when the volumes of an upload were used last, in memory and on the disk.
+    fn record_last_use(&self, upload: &Upload) {
         let private = self.0.catalog.private();
         let mut status = upload.status();
         let used = status.volumes.iter().filter_map(|id| private.last_used(id)).max();
         status.used = status.used.max(used.unwrap_or(SystemTime::UNIX_EPOCH));
-        if let Err(error) = note_use(&upload.folder, status.used) {
+        if let Err(error) = write_last_use(&upload.folder, status.used) {
             tracing::debug!(upload = upload.id, %error, "when it was used is not noted");
         }
     }
 
-    /// How long an upload is kept without use.
-    fn keep(&self, state: UploadState) -> Duration {
+    /// Returns how long an upload in this state is kept without use.
+    fn retention(&self, state: UploadState) -> Duration {
         match state {
             UploadState::Receiving => self.0.limits.keep_unfinished,
             UploadState::Ready => self.0.limits.keep,
         }
     }
 
-    /// How long an upload has to be overdue before it is removed.
-    fn patience(&self, upload: &Upload) -> Duration {
-        (self.keep(upload.status().state) / 4).min(MAX_PATIENCE)
+    /// Returns the time between the expiry of an upload and its removal.
+    fn grace_period(&self, upload: &Upload) -> Duration {
+        (self.retention(upload.status().state) / 4).min(MAX_GRACE_PERIOD)
     }
 
-    fn expires(&self, upload: &Upload) -> SystemTime {
+    /// Returns when an upload expires if it is not used before.
+    fn expiry(&self, upload: &Upload) -> SystemTime {
         let status = upload.status();
-        let keep = self.keep(status.state);
-        // If the sum overflows, the upload is kept for 100 years: in effect for ever.
+        let keep = self.retention(status.state);
+        // If the sum overflows, 100 years take its place: in effect for ever.
         let for_ever = status.used + Duration::from_secs(100 * 365 * 86_400);
         status.used.checked_add(keep).unwrap_or(for_ever)
     }
 
+    /// Locks the map of uploads.
     fn all(&self) -> MutexGuard<'_, HashMap<String, Arc<Upload>>> {
         self.0.uploads.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
+    /// Returns an upload that this user may see.
     fn find(&self, who: Reader<'_>, id: &str) -> Result<Arc<Upload>, UploadError> {
         let found = self.all().get(id).cloned();
         let seen = found.filter(|upload| who.sees(&upload.owner));
@@ -208,11 +213,12 @@ impl Uploads {
             return Err(UploadError::BadKey(key.len()));
         }
         let (uploads, owner) = (self.clone(), who.user().to_owned());
-        // The disk may be slow.
-        tokio::task::spawn_blocking(move || uploads.make(owner, key, request, total)).await?
+        // On a blocking thread, because the disk may be slow.
+        tokio::task::spawn_blocking(move || uploads.create_blocking(owner, key, request, total)).await?
     }
 
-    fn make(
+    /// As [`Uploads::create`], with checked arguments. `total`: the declared bytes of all files. Blocks on the disk.
+    fn create_blocking(
         &self,
         owner: String,
         key: Option<String>,
@@ -222,30 +228,18 @@ impl Uploads {
         let _creating = self.0.creating.lock().unwrap_or_else(PoisonError::into_inner);
         let all: Vec<Arc<Upload>> = self.all().values().cloned().collect();
         let own: Vec<&Arc<Upload>> = all.iter().filter(|upload| upload.owner == owner).collect();
-        if let Some(made) = own.iter().find(|upload| key.is_some() && upload.key == key) {
-            if made.contents.files() != request.files {
+        if let Some(earlier) = own.iter().find(|upload| key.is_some() && upload.key == key) {
+            if earlier.contents.files() != request.files {
                 return Err(UploadError::KeyReused {
-                    upload: made.id.clone(),
+                    upload: earlier.id.clone(),
                 });
             }
-            return Ok((self.shown(made), false));
+            return Ok((self.info(earlier), false));
         }
         if own.len() >= MAX_UPLOADS {
             return Err(UploadError::TooMany);
         }
-        let (used, quota) = (counted(&own), self.0.limits.quota_bytes);
-        if total > quota.saturating_sub(used) {
-            return Err(UploadError::OverQuota {
-                wanted: total,
-                used,
-                quota,
-            });
-        }
-        let promised: u64 = all.iter().map(|upload| upload.total - upload.status().received).sum();
-        let needed = total.saturating_add(promised).saturating_add(RESERVE_BYTES);
-        if needed > self.0.folder.free_bytes()? {
-            return Err(UploadError::DiskFull(total));
-        }
+        self.check_space(&all, &own, total)?;
         let record = Record {
             owner,
             key,
@@ -259,24 +253,43 @@ impl Uploads {
         let folder = folder.map_err(|error| UploadError::of_write(error, total))?;
         let upload = Arc::new(Upload::new(id.clone(), folder, record, 0, SystemTime::now()));
         self.all().insert(id, Arc::clone(&upload));
-        Ok((self.shown(&upload), true))
+        Ok((self.info(&upload), true))
+    }
+
+    /// Checks whether `total` further bytes fit in the quota of a user, whose uploads are `own`, and on the disk. Bytes of `all` uploads that
+    /// have not arrived yet count as occupied.
+    fn check_space(&self, all: &[Arc<Upload>], own: &[&Arc<Upload>], total: u64) -> Result<(), UploadError> {
+        let (used, quota) = (quota_bytes_of(own), self.0.limits.quota_bytes);
+        if total > quota.saturating_sub(used) {
+            return Err(UploadError::OverQuota {
+                wanted: total,
+                used,
+                quota,
+            });
+        }
+        let promised: u64 = all.iter().map(|upload| upload.total - upload.status().received).sum();
+        let needed = total.saturating_add(promised).saturating_add(RESERVE_BYTES);
+        if needed > self.0.folder.free_bytes()? {
+            return Err(UploadError::DiskFull(total));
+        }
+        Ok(())
     }
 
     /// Returns the uploads that a user may see, the latest first, and the rest of the user's own quota.
     pub fn list(&self, who: Reader<'_>) -> UploadList {
         let all: Vec<Arc<Upload>> = self.all().values().cloned().collect();
         let own: Vec<_> = all.iter().filter(|upload| upload.owner == who.user()).collect();
-        let used_bytes = counted(&own);
+        let used_bytes = quota_bytes_of(&own);
         let mut seen: Vec<_> = all.into_iter().filter(|upload| who.sees(&upload.owner)).collect();
         seen.sort_by_key(|upload| std::cmp::Reverse(upload.created));
         UploadList {
             quota_bytes: self.0.limits.quota_bytes,
             used_bytes,
-            uploads: seen.iter().map(|upload| self.shown(upload)).collect(),
+            uploads: seen.iter().map(|upload| self.info(upload)).collect(),
         }
     }
 
-    /// How many uploads of all users are in each state, and the bytes that are there.
+    /// Returns the number of all users' uploads in each state, and the bytes that were received in all.
     pub fn counts(&self) -> (Vec<(UploadState, usize)>, u64) {
         let all: Vec<Arc<Upload>> = self.all().values().cloned().collect();
         let of = |state| all.iter().filter(|upload| upload.status().state == state).count();
@@ -284,12 +297,12 @@ impl Uploads {
         (UploadState::ALL.map(|state| (state, of(state))).to_vec(), bytes)
     }
 
-    /// An upload.
+    /// Returns the description of an upload.
     ///
     /// # Errors
     /// [`UploadError::Unknown`].
     pub fn get(&self, who: Reader<'_>, id: &str) -> Result<UploadInfo, UploadError> {
-        Ok(self.shown(&*self.find(who, id)?))
+        Ok(self.info(&*self.find(who, id)?))
     }
 
     /// Removes an upload, whatever its state, and its volumes. Their viewers are notified.
@@ -301,6 +314,7 @@ impl Uploads {
         self.remove(&upload).await
     }
 
+    /// Removes an upload, its volumes and its folder.
     async fn remove(&self, upload: &Arc<Upload>) -> Result<(), UploadError> {
         // From here on no request finds the upload. `take_over` ends one that still writes to it.
         if self.all().remove(&upload.id).is_none() {
@@ -312,19 +326,20 @@ impl Uploads {
         let writer = upload.take_over().await;
         let (uploads, upload) = (self.clone(), Arc::clone(upload));
         let removed = move || {
-            // It may have been read while it was being removed.
+            // A request may have added its volumes to the catalog while the upload was being removed.
             for volume in &upload.status().volumes {
                 uploads.0.catalog.private().remove(volume);
             }
-            let aside = uploads.0.folder.put_aside(&upload.id)?;
+            let folder = uploads.0.folder.rename_for_removal(&upload.id)?;
             drop(writer);
-            std::fs::remove_dir_all(aside)
+            std::fs::remove_dir_all(folder)
         };
         Ok(tokio::task::spawn_blocking(removed).await??)
     }
 
-    fn shown(&self, upload: &Upload) -> UploadInfo {
-        let expires = self.expires(upload);
+    /// Returns the description of an upload for clients.
+    fn info(&self, upload: &Upload) -> UploadInfo {
+        let expires = self.expiry(upload);
         let status = upload.status().clone();
         UploadInfo {
             id: upload.id.clone(),
@@ -342,13 +357,14 @@ impl Uploads {
     }
 }
 
-/// Bytes of uploads that count in a quota.
-fn counted(uploads: &[&Arc<Upload>]) -> u64 {
+/// Returns the bytes of uploads that count in the quota of their owner.
+fn quota_bytes_of(uploads: &[&Arc<Upload>]) -> u64 {
     uploads
         .iter()
-        .fold(0, |sum: u64, upload| sum.saturating_add(upload.counted()))
+        .fold(0, |sum: u64, upload| sum.saturating_add(upload.quota_bytes()))
 }
 
+/// Whether a text is valid as idempotency key: 1 to 255 printable ASCII characters without spaces.
 fn is_key(key: &str) -> bool {
     (1..=255).contains(&key.len()) && key.bytes().all(|byte| byte.is_ascii_graphic())
 }

@@ -28,7 +28,7 @@ impl Case {
     /// Removes what is overdue, as if it had been for long.
     async fn expire(&self) {
         let (mut overdue, at) = (Overdue::default(), Instant::now());
-        for at in [at, at + MAX_PATIENCE] {
+        for at in [at, at + MAX_GRACE_PERIOD] {
             self.uploads.expire(&mut overdue, SystemTime::now(), at).await;
         }
     }

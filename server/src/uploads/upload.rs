@@ -81,8 +81,8 @@ impl Upload {
         }
     }
 
-    /// Bytes that count in its owner's quota.
-    pub(super) fn counted(&self) -> u64 {
+    /// Returns the bytes that count in the owner's quota.
+    pub(super) fn quota_bytes(&self) -> u64 {
         self.total.saturating_add(self.status().unpacked)
     }
 

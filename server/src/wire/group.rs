@@ -1,13 +1,13 @@
-//! Parts of the messages of groups: camera poses, and members. Normative: `PROTOCOL.md`, section 7.
+//! Types in the messages of groups: camera poses, and members. Normative: `PROTOCOL.md`, section 7.
 
 use serde::{Deserialize, Serialize};
 
 use isopeel_view::Edit;
 
-/// Longest name that a follower may give, characters.
+/// Maximum characters of the name that a follower gives.
 const MAX_NAME_CHARS: usize = 40;
 
-/// Maximum bytes of the text that describes the look of a page, which takes some hundred.
+/// Maximum bytes of the text that describes the look of a page. The viewer writes some hundred bytes.
 const MAX_PAGE_BYTES: usize = 16 << 10;
 
 /// How a camera shows depth.
@@ -50,6 +50,8 @@ pub struct Pose {
 }
 
 impl Pose {
+    /// Checks a pose that a client has sent.
+    ///
     /// # Errors
     /// A text that is too long, a camera without finite coordinates, or one whose target is its own position.
     pub fn check(&self) -> Result<(), String> {
@@ -59,8 +61,8 @@ impl Pose {
             return Err(format!("page: {} bytes, expected at most {MAX_PAGE_BYTES}", page.len()));
         }
         let Some(camera) = self.camera else { return Ok(()) };
-        let is_somewhere = camera.position.iter().chain(&camera.target).all(|at| at.is_finite());
-        match is_somewhere && camera.position != camera.target {
+        let is_finite = camera.position.iter().chain(&camera.target).all(|at| at.is_finite());
+        match is_finite && camera.position != camera.target {
             true => Ok(()),
             false => Err("camera: expected finite positions, and another target than its own".into()),
         }

@@ -1,6 +1,7 @@
 //! Text frames of the stream. Normative: `PROTOCOL.md`. Binary frames are those of `isopeel_codec`.
 //!
-//! - [`messages`]: text frames; [`group`]: parts of those of groups.
+//! - [`messages`]: the messages of client and server.
+//! - [`group`]: types in the messages of groups.
 
 pub mod group;
 pub mod messages;

@@ -17,7 +17,7 @@ use rayon::prelude::*;
 use self::distances::distances;
 use self::smoothing::smoothed;
 
-/// Number of samples that a parallel task computes.
+/// Number of samples that a task of the thread pool computes.
 const TASK_SAMPLES: usize = 1 << 16;
 
 /// Source of a field that is computed from others.
@@ -28,7 +28,7 @@ struct ComputedSource {
     text: String,
     /// The fields in the expression, in the order of its variables.
     fields: Vec<Field>,
-    /// For a field of distances to the samples for which the expression is not 0: positions of the samples along the axes.
+    /// For a field of distances to the samples for which the expression is not 0: positions of the samples along the axes, in world units.
     positions: Option<Box<[Vec<f64>; 3]>>,
     /// For a smoothed field: the standard deviation of the Gaussian in samples.
     smoothing: Option<f32>,
@@ -36,7 +36,7 @@ struct ComputedSource {
 }
 
 /// Parses an expression over a dataset's fields. `None` if the text is no expression, or is the name of a field.
-pub fn expression(dataset: &Dataset, text: &str) -> Option<FieldExpression> {
+pub fn parse_expression(dataset: &Dataset, text: &str) -> Option<FieldExpression> {
     if dataset.field(text).is_some() {
         return None;
     }
@@ -51,7 +51,7 @@ pub fn field_or_computed(dataset: &Dataset, name: &str) -> Option<Field> {
 
 /// Returns the field that an expression over a dataset's fields gives. `None` if the text is no expression, or is the name of a field.
 pub fn computed_field(dataset: &Dataset, text: &str) -> Option<Field> {
-    let parsed = expression(dataset, text)?;
+    let parsed = parse_expression(dataset, text)?;
     let fields: Vec<Field> = parsed
         .fields
         .iter()
@@ -68,6 +68,7 @@ pub fn computed_field(dataset: &Dataset, text: &str) -> Option<Field> {
         expression: parsed.expression,
         text: text.to_owned(),
         fields,
+        // Without padding: distances are computed at the samples of the dataset.
         positions: parsed.is_distance.then(|| Box::new(dataset.positions(false))),
         smoothing: parsed.smoothing,
         dims: dataset.geometry.dims,

@@ -4,7 +4,7 @@ use axum::http::Method;
 use axum::http::header::{HeaderMap, LOCATION};
 use serde::Serialize;
 
-/// Kind of event.
+/// Kind of an event, as its line in the log names it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub(in crate::access) enum Event {
@@ -42,6 +42,9 @@ pub(in crate::access) enum Event {
     TokenRevoked,
 }
 
+/// Upper bound on the length of an id of a job or an upload, bytes. Real ones are shorter.
+const MAX_ID_BYTES: usize = 64;
+
 /// Returns the event of a request, and the id of its job or upload.
 pub(super) fn event_of(method: &Method, path: &str) -> (Event, Option<String>) {
     let parts: Vec<&str> = path.strip_prefix("/api/v1/").unwrap_or("").split('/').collect();
@@ -61,13 +64,13 @@ pub(super) fn event_of(method: &Method, path: &str) -> (Event, Option<String>) {
         (["uploads", id], &Method::DELETE) => (Event::UploadDelete, Some(*id)),
         _ => (Event::Request, None),
     };
-    // Anything that is not an id is text of the client, and is not logged.
-    let is_id = |id: &str| id.len() <= 64 && id.bytes().all(|byte| byte.is_ascii_alphanumeric());
+    // Ids of jobs and uploads are short and alphanumeric. Any other text was chosen by the client, and is not logged.
+    let is_id = |id: &str| id.len() <= MAX_ID_BYTES && id.bytes().all(|byte| byte.is_ascii_alphanumeric());
     (event, id.filter(|id| is_id(id)).map(str::to_owned))
 }
 
 /// Returns the id of the created job or upload, from the `Location` of the answer.
-pub(super) fn made(headers: &HeaderMap) -> Option<String> {
+pub(super) fn created_id(headers: &HeaderMap) -> Option<String> {
     let location = headers.get(LOCATION)?.to_str().ok()?;
     let path = location.strip_prefix("/api/v1/")?;
     Some(path.strip_prefix("jobs/").or(path.strip_prefix("uploads/"))?.to_owned())

@@ -48,7 +48,7 @@ impl Refusals {
     }
 
     /// Removes and returns the counts that must be written: those of kinds that were first seen at least `age` ago.
-    pub(super) fn take(&mut self, now: Instant, age: Duration) -> Vec<(Kind, u64)> {
+    pub(super) fn take_due(&mut self, now: Instant, age: Duration) -> Vec<(Kind, u64)> {
         let due = self.kinds.extract_if(|_, (since, _)| now.duration_since(*since) >= age);
         due.map(|(kind, (_, more))| (kind, more))
             .filter(|(_, more)| *more > 0)
@@ -58,7 +58,7 @@ impl Refusals {
 
 #[cfg(test)]
 mod tests {
-    use super::super::{COUNTED, LOOK};
+    use super::super::{COUNTING_PERIOD, WRITE_INTERVAL};
     use super::*;
 
     #[test]
@@ -71,10 +71,12 @@ mod tests {
             who: None,
             peer: None,
         };
-        let minute = start + COUNTED;
+        let minute = start + COUNTING_PERIOD;
         assert!(refusals.count(kind.clone(), start) && !refusals.count(kind.clone(), start));
-        assert!(refusals.take(minute - LOOK, COUNTED).is_empty());
-        assert_eq!(refusals.take(minute, COUNTED), [(kind.clone(), 1)]);
-        assert!(refusals.count(kind, minute) && refusals.take(minute + COUNTED, COUNTED).is_empty());
+        assert!(refusals.take_due(minute - WRITE_INTERVAL, COUNTING_PERIOD).is_empty());
+        assert_eq!(refusals.take_due(minute, COUNTING_PERIOD), [(kind.clone(), 1)]);
+        assert!(
+            refusals.count(kind, minute) && refusals.take_due(minute + COUNTING_PERIOD, COUNTING_PERIOD).is_empty()
+        );
     }
 }

@@ -9,7 +9,7 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use super::refusals::Refusals;
-use super::{COUNTED, LOOK, Line, Outcome, lock, now};
+use super::{COUNTING_PERIOD, Line, Outcome, WRITE_INTERVAL, lock, now};
 
 /// A command to the writer.
 pub(super) enum Command {
@@ -27,39 +27,45 @@ fn open(path: &Path) -> io::Result<File> {
     options.create(true).append(true).open(path)
 }
 
-/// The thread that writes.
+/// State of the thread that writes.
 pub(super) struct Writer {
     path: PathBuf,
     file: File,
+    /// Number of lines that were dropped because the queue was full, since the last line that states such a number.
     lost: Arc<AtomicU64>,
     refusals: Arc<Mutex<Refusals>>,
     /// Whether an error was logged. Further errors are not logged until a write succeeds.
-    complained: bool,
+    error_logged: bool,
 }
 
 impl Writer {
-    /// Writes at the end of a file, lines that were `lost` and counts of `refusals` among them.
+    /// Opens the log, which is created or appended to. The writer adds a line for the number of `lost` lines, and one for each count of
+    /// `refusals`.
+    ///
+    /// # Errors
+    /// The file cannot be opened.
     pub(super) fn open(path: &Path, lost: &Arc<AtomicU64>, refusals: &Arc<Mutex<Refusals>>) -> io::Result<Self> {
         Ok(Self {
             path: path.to_owned(),
             file: open(path)?,
             lost: Arc::clone(lost),
             refusals: Arc::clone(refusals),
-            complained: false,
+            error_logged: false,
         })
     }
 
+    /// Executes commands until all senders are gone. Writes the due counts of refusals meanwhile.
     pub(super) fn run(mut self, commands: &Receiver<Command>) {
-        let mut looked = Instant::now();
+        let mut counts_written = Instant::now();
         loop {
-            let command = match commands.recv_timeout(LOOK) {
+            let command = match commands.recv_timeout(WRITE_INTERVAL) {
                 Ok(command) => Some(command),
                 Err(RecvTimeoutError::Timeout) => None,
                 Err(RecvTimeoutError::Disconnected) => return self.write_counts(Duration::ZERO),
             };
-            if looked.elapsed() >= LOOK {
-                self.write_counts(COUNTED);
-                looked = Instant::now();
+            if counts_written.elapsed() >= WRITE_INTERVAL {
+                self.write_counts(COUNTING_PERIOD);
+                counts_written = Instant::now();
             }
             let Some(command) = command else { continue };
             match command {
@@ -85,7 +91,7 @@ impl Writer {
 
     /// Writes how many refusals there were of the kinds that were first seen at least `age` ago.
     fn write_counts(&mut self, age: Duration) {
-        let counts = lock(&self.refusals).take(Instant::now(), age);
+        let counts = lock(&self.refusals).take_due(Instant::now(), age);
         for (kind, count) in counts {
             let who = kind.who.as_ref();
             let line = Line {
@@ -107,10 +113,10 @@ impl Writer {
 
     fn write(&mut self, line: &[u8]) {
         match self.file.write_all(line) {
-            Ok(()) => self.complained = false,
-            Err(error) if !self.complained => {
+            Ok(()) => self.error_logged = false,
+            Err(error) if !self.error_logged => {
                 tracing::error!(%error, "the audit log cannot be written");
-                self.complained = true;
+                self.error_logged = true;
             }
             Err(_) => {}
         }

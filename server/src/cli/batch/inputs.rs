@@ -1,4 +1,4 @@
-//! From arguments to volumes, each with a name for its files.
+//! Opens the volumes that the arguments name, and gives each a name for its files.
 
 use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
@@ -14,7 +14,7 @@ pub(super) struct Input {
     pub path: PathBuf,
     /// Name of its files without step and extension; no other input has it.
     pub name: String,
-    /// Its header.
+    /// The volume, of which only the header was read; the error if it cannot be read.
     pub dataset: Result<Dataset, ReadError>,
 }
 
@@ -26,7 +26,7 @@ pub(super) fn open_all(arguments: &[PathBuf]) -> Result<Vec<Input>, BatchError> 
     let mut seen = HashSet::new();
     let mut opened = Vec::new();
     for argument in arguments {
-        for path in expanded(argument)? {
+        for path in expand(argument)? {
             opened.extend(
                 open_each(&path)
                     .into_iter()
@@ -51,8 +51,8 @@ fn title_of(path: &Path) -> String {
     path.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// The files that match a pattern; an argument that is a file, a folder or an address is itself.
-fn expanded(argument: &Path) -> Result<Vec<PathBuf>, BatchError> {
+/// Returns the files that match an argument with `*`, `?` or `[`. Any other argument, an existing path or an address, is returned as it is.
+fn expand(argument: &Path) -> Result<Vec<PathBuf>, BatchError> {
     let pattern = argument.to_string_lossy();
     let is_pattern = !argument.exists() && !pattern.contains("://") && pattern.contains(['*', '?', '[']);
     if !is_pattern {
@@ -70,51 +70,63 @@ fn expanded(argument: &Path) -> Result<Vec<PathBuf>, BatchError> {
     Ok(paths)
 }
 
-/// Returns names of files: titles, preceded by as many names of folders as are needed to make them distinct.
+/// Returns distinct names of files for volumes of these paths and titles: the title, preceded by as many names of folders as are needed.
 fn distinct_names(titled: &[(&Path, String)]) -> Vec<String> {
-    let named = |(path, title): &(&Path, String), folders: usize| {
-        let parents = path.parent().into_iter().flat_map(Path::components);
-        let parents: Vec<String> = parents
-            .map(|part| part.as_os_str().to_string_lossy().into_owned())
-            .collect();
-        let before = parents[parents.len().saturating_sub(folders)..]
-            .iter()
-            .map(String::as_str);
-        let parts: Vec<String> = before.chain([title.as_str()]).map(safe_name).collect();
-        parts.join("-")
-    };
     let deepest = titled
         .iter()
         .map(|(path, _)| path.components().count())
         .max()
         .unwrap_or(0);
-    let mut names: Vec<String> = titled.iter().map(|one| named(one, 0)).collect();
+    let mut names: Vec<String> = titled
+        .iter()
+        .map(|(path, title)| qualified_name(path, title, 0))
+        .collect();
     for folders in 1..=deepest {
         let mut counts: HashMap<String, usize> = HashMap::new();
-        names.iter().for_each(|name| *counts.entry(key(name)).or_default() += 1);
+        names
+            .iter()
+            .for_each(|name| *counts.entry(fold_case(name)).or_default() += 1);
         if counts.values().all(|&count| count == 1) {
             return names;
         }
-        for (name, one) in names.iter_mut().zip(titled) {
-            if counts[&key(name)] > 1 {
-                *name = named(one, folders);
+        for (name, (path, title)) in names.iter_mut().zip(titled) {
+            if counts[&fold_case(name)] > 1 {
+                *name = qualified_name(path, title, folders);
             }
         }
     }
-    // Several volumes of one file, and names that become equal as file names.
-    let mut taken = HashSet::new();
-    for name in &mut names {
-        let numbered = (2..).map(|n| format!("{name}-{n}"));
-        let free = std::iter::once(name.clone())
-            .chain(numbered)
-            .find(|name| taken.insert(key(name)));
-        *name = free.unwrap_or_default();
-    }
+    // Folders do not distinguish several volumes of one file, nor names that become equal as file names.
+    number_duplicates(&mut names);
     names
 }
 
+/// Returns a title, preceded by the names of the `folders` innermost folders of the path, as a name for files.
+fn qualified_name(path: &Path, title: &str, folders: usize) -> String {
+    let parents = path.parent().into_iter().flat_map(Path::components);
+    let parents: Vec<String> = parents
+        .map(|part| part.as_os_str().to_string_lossy().into_owned())
+        .collect();
+    let before = parents[parents.len().saturating_sub(folders)..]
+        .iter()
+        .map(String::as_str);
+    let parts: Vec<String> = before.chain([title]).map(safe_name).collect();
+    parts.join("-")
+}
+
+/// Appends `-2`, `-3` and so on to names that an earlier one equals.
+fn number_duplicates(names: &mut [String]) {
+    let mut taken = HashSet::new();
+    for name in names {
+        let numbered = (2..).map(|n| format!("{name}-{n}"));
+        let free = std::iter::once(name.clone())
+            .chain(numbered)
+            .find(|name| taken.insert(fold_case(name)));
+        *name = free.unwrap_or_default();
+    }
+}
+
 /// Returns the name in lower case, because some file systems ignore case.
-pub(super) fn key(name: &str) -> String {
+pub(super) fn fold_case(name: &str) -> String {
     name.to_ascii_lowercase()
 }
 

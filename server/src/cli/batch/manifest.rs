@@ -1,4 +1,5 @@
-//! Outcome of each volume and time step: a line of JSON each, written as soon as it is known, so that the same command can resume.
+//! The manifest of a batch: a line of JSON for the outcome of each volume and time step. A line is written as soon as the outcome is
+//! known, so that the same command can resume.
 
 use std::collections::HashMap;
 use std::fs::{File, TryLockError};
@@ -15,7 +16,7 @@ use crate::private_folder;
 /// A line of the manifest.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Line {
-    /// The volume, as it was named.
+    /// The volume, as the command line names it.
     pub volume: String,
     /// The time step.
     pub step: u32,
@@ -23,16 +24,16 @@ pub(super) struct Line {
     /// store over a network.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub identity: Option<String>,
-    /// Its outcome.
+    /// The outcome.
     #[serde(flatten)]
     pub entry: ManifestEntry,
 }
 
-/// The manifest of a folder, which no other process writes meanwhile.
+/// The manifest of an output folder. It is locked, so that no other process writes to the folder at the same time.
 pub(super) struct Manifest {
     folder: PathBuf,
     file: File,
-    /// Lines of earlier commands, by their files.
+    /// Lines that earlier commands have written, by the names of their files.
     earlier: HashMap<String, Line>,
 }
 
@@ -50,7 +51,7 @@ impl Manifest {
                 let why = "another isopeel batch writes to this folder: wait for its end, or name another folder";
                 return Err(io::Error::new(io::ErrorKind::ResourceBusy, why));
             }
-            // A file system without locks.
+            // The file system has no locks: continue without one.
             Err(TryLockError::Error(error)) => tracing::warn!(%error, "the manifest cannot be locked"),
         }
         for entry in std::fs::read_dir(folder)?.flatten() {
@@ -59,7 +60,7 @@ impl Manifest {
             }
         }
         let text = std::fs::read(&path)?;
-        // The last line may be cut off; lines of jobs have no volume.
+        // Skips the last line if it was cut off, and lines of batch jobs, which have no volume.
         let lines = text
             .split(|&byte| byte == b'\n')
             .flat_map(serde_json::from_slice::<Line>);
@@ -77,28 +78,35 @@ impl Manifest {
         Ok(manifest)
     }
 
-    /// The line of a file that an earlier command has made of the same input, if the file is still as it was. Reads the file.
-    pub(super) fn finished(&self, file: &str, identity: &str) -> Option<Line> {
+    /// Returns the line of a file that an earlier command has made of the input with this identity; `None` if there is none, or if the file
+    /// has changed since. Reads the whole file for its checksum.
+    pub(super) fn find_finished(&self, file: &str, identity: &str) -> Option<Line> {
         let line = self.earlier.get(file)?;
         let is_same = line.entry.state == ExtractionState::Done && line.identity.as_deref() == Some(identity);
         let expected = line.entry.sha256.as_ref().filter(|_| is_same)?;
         (checksum_of(&self.folder.join(file)).as_ref() == Some(expected)).then(|| line.clone())
     }
 
-    /// Whether an earlier command has made a file of that name.
-    pub(super) fn names(&self, file: &str) -> bool {
+    /// Whether an earlier command has written a line for a file of this name.
+    pub(super) fn contains(&self, file: &str) -> bool {
         self.earlier.contains_key(file)
     }
 
-    /// Adds a line.
-    pub(super) fn add(&self, line: &Line) -> io::Result<()> {
+    /// Appends a line.
+    ///
+    /// # Errors
+    /// The manifest cannot be written.
+    pub(super) fn append(&self, line: &Line) -> io::Result<()> {
         let mut text = serde_json::to_vec(line)?;
         text.push(b'\n');
         (&self.file).write_all(&text)
     }
 
-    /// Replaces the added lines by all lines, in order.
-    pub(super) fn finish(&self, lines: &[Line]) -> io::Result<()> {
+    /// Replaces the manifest by these lines: those of all files, in the order of the command line.
+    ///
+    /// # Errors
+    /// The manifest cannot be written.
+    pub(super) fn rewrite(&self, lines: &[Line]) -> io::Result<()> {
         write_manifest(&self.folder.join(MANIFEST_FILE), lines)
     }
 }
@@ -131,20 +139,22 @@ mod tests {
         let sha256 = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad";
         let manifest = Manifest::open(folder.path()).unwrap();
         assert!(Manifest::open(folder.path()).is_err(), "it is locked");
-        manifest.add(&line("a.stl", ExtractionState::Done, sha256)).unwrap();
-        manifest.add(&line("b.stl", ExtractionState::Failed, sha256)).unwrap();
+        manifest.append(&line("a.stl", ExtractionState::Done, sha256)).unwrap();
+        manifest
+            .append(&line("b.stl", ExtractionState::Failed, sha256))
+            .unwrap();
         (&manifest.file).write_all(br#"{"volume":"c.nrrd","st"#).unwrap();
         drop(manifest);
         let manifest = Manifest::open(folder.path()).unwrap();
         assert!(!folder.path().join(format!("{BATCH_TEMPORARY}x")).exists());
         assert!(folder.path().join(".isopeel-x").exists());
         assert_eq!(
-            manifest.finished("a.stl", "one"),
+            manifest.find_finished("a.stl", "one"),
             Some(line("a.stl", ExtractionState::Done, sha256))
         );
-        assert_eq!(manifest.finished("a.stl", "another"), None);
-        assert_eq!(manifest.finished("b.stl", "one"), None);
+        assert_eq!(manifest.find_finished("a.stl", "another"), None);
+        assert_eq!(manifest.find_finished("b.stl", "one"), None);
         std::fs::write(folder.path().join("a.stl"), "abd").unwrap();
-        assert_eq!(manifest.finished("a.stl", "one"), None, "the file is another one");
+        assert_eq!(manifest.find_finished("a.stl", "one"), None, "the file is another one");
     }
 }

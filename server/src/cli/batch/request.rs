@@ -1,4 +1,4 @@
-//! The surfaces of a request of one volume: a batch job without a server.
+//! `isopeel batch` with a request file: runs a batch job of one volume without a server.
 
 use std::fs::File;
 use std::io;
@@ -15,10 +15,10 @@ use crate::cli::jobs::{
 };
 use crate::jobs::{JobInfo, JobRequest, JobState, Jobs, Limits, OPERATOR, StateFolder, file_name};
 
-/// Below the output's folder, while the job is not done.
+/// Folder of the job store below the output folder, unless `--state-folder` names another one. It is removed when the job is done.
 const STATE_FOLDER: &str = ".isopeel-batch";
 
-/// Makes all surfaces of a request.
+/// Runs the job of a request file, and waits for its end.
 ///
 /// # Errors
 /// [`BatchError`].
@@ -27,7 +27,7 @@ pub(super) fn run(args: &Args, file: &Path) -> Result<(), BatchError> {
         path: file.to_owned(),
         source,
     })?;
-    let mut dataset = open_dataset(&beside(file, &request.volume))?;
+    let mut dataset = open_dataset(&resolve_path(file, &request.volume))?;
     dataset.set_frame(args.frame);
     request.volume = dataset.id.clone();
     let mut catalog = Catalog::default();
@@ -41,20 +41,20 @@ pub(super) fn run(args: &Args, file: &Path) -> Result<(), BatchError> {
         let mut interrupt = Interrupt::new()?;
         let worker = args.worker(types)?;
         let stop = CancellationToken::new();
-        // The store counts in 63 bits.
+        // The store has signed 64-bit numbers.
         let unlimited = Limits {
             quota_bytes: i64::MAX as u64,
         };
         let jobs = Jobs::open(folder, unlimited, catalog.into(), worker.clone(), stop.clone()).await?;
         let runner = tokio::spawn(jobs.clone().run());
-        let made = tokio::select! {
-            made = make(&jobs, request, &args.output) => made,
+        let outcome = tokio::select! {
+            outcome = run_job(&jobs, request, &args.output) => outcome,
             () = interrupt.wait() => Err(BatchError::Interrupted),
             error = worker.unusable() => Err(error.map_or(BatchError::Interrupted, BatchError::Device)),
         };
         stop.cancel();
         let _ = runner.await;
-        made
+        outcome
     })?;
     if args.state_folder.is_none() {
         // Its results were moved to the output folder, and its job was deleted.
@@ -67,16 +67,19 @@ fn read_request(file: &Path) -> io::Result<JobRequest> {
     Ok(serde_json::from_slice(&read_request_file(file)?)?)
 }
 
-/// A path of a file that another one names.
-fn beside(file: &Path, name: &str) -> PathBuf {
+/// Returns the path of a volume that a request file names: relative to the folder of that file, unless it is an address.
+fn resolve_path(file: &Path, name: &str) -> PathBuf {
     if name.contains("://") {
         return name.into();
     }
     file.parent().unwrap_or(Path::new("")).join(name)
 }
 
-/// Makes a job, or goes on with it, and puts its results into a folder.
-async fn make(jobs: &Jobs, request: JobRequest, output: &Path) -> Result<(), BatchError> {
+/// Submits the job, or continues an interrupted one, and waits for it. Then moves its results to the output folder, and deletes the job.
+///
+/// # Errors
+/// The job has failed, or the results cannot be written.
+async fn run_job(jobs: &Jobs, request: JobRequest, output: &Path) -> Result<(), BatchError> {
     let extensions: Vec<_> = request
         .extractions
         .iter()
@@ -89,12 +92,12 @@ async fn make(jobs: &Jobs, request: JobRequest, output: &Path) -> Result<(), Bat
     let manifest = output.join(MANIFEST_FILE);
     write_manifest(&manifest, &entries).map_err(|source| BatchError::Output { path: manifest, source })?;
     for (extraction, extension) in (0..).zip(extensions) {
-        // None if it failed, is empty, or was taken before an interruption.
-        let Some(made) = jobs.result_path(&job.id, extraction) else {
+        // None if the extraction failed, is empty, or its result was moved before an interruption.
+        let Some(result) = jobs.result_path(&job.id, extraction) else {
             continue;
         };
         let path = output.join(file_name(extraction, extension));
-        take(&made, &path).map_err(|source| BatchError::Output { path, source })?;
+        move_file(&result, &path).map_err(|source| BatchError::Output { path, source })?;
     }
     let empty = empty_ones(&entries);
     if !empty.is_empty() {
@@ -111,7 +114,8 @@ async fn make(jobs: &Jobs, request: JobRequest, output: &Path) -> Result<(), Bat
     Err(BatchError::Failed(why + &first))
 }
 
-/// Submits a job under the name of its request, so that an interrupted one goes on. One that has ended in another way is submitted again.
+/// Submits a job with a hash of its request as idempotency key, so that the same request continues an interrupted job. If the earlier job
+/// has failed or was cancelled, deletes it and submits a new one.
 async fn submit(jobs: &Jobs, request: JobRequest) -> Result<JobInfo, BatchError> {
     let text = serde_json::to_vec(&request).map_err(io::Error::from)?;
     let operator = Reader::new(OPERATOR, true);
@@ -124,7 +128,7 @@ async fn submit(jobs: &Jobs, request: JobRequest) -> Result<JobInfo, BatchError>
     Ok(jobs.submit(operator, Some(key), request).await?.0)
 }
 
-/// Waits until a job is finished, with a bar if stderr is a terminal.
+/// Waits until a job is finished, and shows its progress if stderr is a terminal.
 async fn wait(jobs: &Jobs, id: &str) -> Result<JobInfo, BatchError> {
     let mut changes = jobs.changes();
     let mut bar = None;
@@ -138,13 +142,13 @@ async fn wait(jobs: &Jobs, id: &str) -> Result<JobInfo, BatchError> {
             bar.finish_and_clear();
             return Ok(job);
         }
-        // The sender is gone if the runner has ended.
+        // An error means that the runner has ended.
         changes.changed().await.map_err(io::Error::other)?;
     }
 }
 
-/// Moves a file, to another disk too.
-fn take(from: &Path, to: &Path) -> io::Result<()> {
+/// Moves a file. Copies it if the target is on another disk.
+fn move_file(from: &Path, to: &Path) -> io::Result<()> {
     match std::fs::rename(from, to) {
         Err(error) if error.kind() == io::ErrorKind::CrossesDevices => {
             std::fs::copy(from, to)?;

@@ -8,15 +8,16 @@ use isopeel_volumes::Dataset;
 
 use crate::cli::output::write_whole;
 
-/// The time steps of a volume.
+/// The files of a volume's time steps.
 pub(super) struct Series {
+    /// Name of the collection's file, without extension.
     name: String,
-    /// Each with its file.
+    /// Time and file name of each step. The time is that of the dataset, or else the number of the step.
     times: Vec<(f64, String)>,
 }
 
 impl Series {
-    /// A volume's files by their time steps.
+    /// Creates the series of a volume from pairs of time step and file name.
     pub(super) fn new(name: String, dataset: &Dataset, files: impl Iterator<Item = (u32, String)>) -> Self {
         let time = |step| {
             let known = dataset.times.as_ref().and_then(|times| times.value(step));
@@ -26,7 +27,10 @@ impl Series {
         Self { name, times }
     }
 
-    /// Writes the collection of those files that were made; none, if there are fewer than two.
+    /// Writes `NAME.pvd` into `folder`, with those files that are in `made`. Writes nothing if there are fewer than two.
+    ///
+    /// # Errors
+    /// The file cannot be written.
     pub(super) fn write(&self, folder: &Path, made: &HashSet<&str>) -> io::Result<()> {
         let steps: Vec<_> = self
             .times
@@ -40,7 +44,7 @@ impl Series {
             "<?xml version=\"1.0\"?>\n<VTKFile type=\"Collection\" version=\"1.0\" byte_order=\"LittleEndian\">\n<Collection>\n",
         );
         for (time, file) in steps {
-            // Names of files are safe in XML.
+            // `safe_name` has replaced all characters that XML would need escaped.
             text += &format!("<DataSet timestep=\"{time}\" group=\"\" part=\"0\" file=\"{file}\"/>\n");
         }
         text += "</Collection>\n</VTKFile>\n";

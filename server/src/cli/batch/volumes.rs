@@ -14,7 +14,7 @@ use isopeel_volumes::{Dataset, IdentityError, InputIdentity, SeenFiles, VolumeSt
 use sha2::{Digest, Sha256};
 use tokio_util::sync::CancellationToken;
 
-use super::inputs::{Input, key, open_all};
+use super::inputs::{Input, fold_case, open_all};
 use super::manifest::{Line, Manifest};
 use super::series::Series;
 use super::steps::Steps;
@@ -89,7 +89,7 @@ pub(super) fn run(args: &Args) -> Result<(), BatchError> {
             error = worker.unusable() => Err(error.map_or(BatchError::Interrupted, BatchError::Device)),
         }
     })?;
-    manifest.finish(&lines).map_err(output)?;
+    manifest.rewrite(&lines).map_err(output)?;
     if format == Format::Vtp {
         let made = lines.iter().filter_map(|line| line.entry.file.as_deref()).collect();
         series
@@ -128,11 +128,12 @@ impl Plan {
         let numbered = (2..).map(|number| format!("{name}-{number}"));
         let mut candidates = std::iter::once(name.to_owned()).chain(numbered).map(named);
         let is_free = |(name, files): &(String, Vec<String>)| {
-            let mut all = files.iter().chain([name]).map(|name| key(name));
+            let mut all = files.iter().chain([name]).map(|name| fold_case(name));
             all.all(|name| !self.taken.contains(&name))
         };
         let (name, files) = candidates.find(is_free).unwrap_or_default();
-        self.taken.extend(files.iter().chain([&name]).map(|name| key(name)));
+        self.taken
+            .extend(files.iter().chain([&name]).map(|name| fold_case(name)));
         (name, files)
     }
 }
@@ -225,7 +226,7 @@ impl Batch<'_> {
         while let Some(made) = made.next().await {
             let (line, is_new) = made?;
             if is_new {
-                self.manifest.add(&line).map_err(|source| BatchError::Output {
+                self.manifest.append(&line).map_err(|source| BatchError::Output {
                     path: self.args.output.clone(),
                     source,
                 })?;
@@ -285,7 +286,7 @@ impl Batch<'_> {
 
     /// Removes a file that an earlier command has made: it would look like this one's.
     fn remove_earlier(&self, file: &str) {
-        if self.manifest.names(file) {
+        if self.manifest.contains(file) {
             let _ = std::fs::remove_file(self.args.output.join(file));
         }
     }
@@ -311,7 +312,7 @@ impl Batch<'_> {
 
     async fn finished(&self, file: &str, identity: Option<&str>) -> Option<Line> {
         let (manifest, file, identity) = (Arc::clone(&self.manifest), file.to_owned(), identity?.to_owned());
-        let looked = tokio::task::spawn_blocking(move || manifest.finished(&file, &identity));
+        let looked = tokio::task::spawn_blocking(move || manifest.find_finished(&file, &identity));
         looked.await.ok().flatten()
     }
 

@@ -7,20 +7,20 @@ use isopeel_extraction::{PROCESSOR_BYTES, limit_host_memory};
 
 use crate::stream::SHARED_BYTES;
 
-/// A few steps of 256³ floats.
+/// Default of `--read-ahead`: holds sixteen time steps of 256³ 32-bit floats.
 const READ_AHEAD_MIB: u64 = 1024;
 
 const MIB: u64 = 1 << 20;
 
-/// Minimum bytes of allocations that return to the system as soon as they are freed.
+/// Allocations of at least this many bytes are mapped on their own, and return to the system as soon as they are freed.
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
-const LARGE_PIECE: i32 = 1 << 20;
+const MIN_MAPPED_BYTES: i32 = 1 << 20;
 
-/// How often free pages between allocations are returned.
+/// Interval at which free pages between smaller allocations are returned to the system.
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 const TRIM_INTERVAL: Duration = Duration::from_secs(30);
 
-/// These options.
+/// Options of `isopeel serve` that limit memory on the host and on the device.
 #[derive(Debug, clap::Args)]
 pub struct MemoryArgs {
     /// Memory of this machine for volumes and surfaces with all else that the process holds, in MiB: what would take more is refused before
@@ -50,7 +50,7 @@ fn surface_memory_help() -> String {
 }
 
 impl MemoryArgs {
-    /// Holds this process to its limit, and has it give back what it frees. Once, before any work.
+    /// Sets the limit on host memory, and makes the allocator return freed memory. Called once, before any other work.
     pub(super) fn limit_process(&self) {
         return_freed_memory();
         if let Some(mebibytes) = self.host_memory {
@@ -58,31 +58,34 @@ impl MemoryArgs {
         }
     }
 
-    /// Bytes that earlier edits may occupy, if `--surface-memory` is given.
+    /// Maximum device bytes of pyramids, vertex trees, cuts and free buffers, if `--surface-memory` is given.
     pub(super) fn surface_bytes(&self) -> Option<u64> {
         self.surface_memory.map(|mebibytes| mebibytes.saturating_mul(MIB))
     }
 
-    /// Bytes of time steps that are read ahead.
+    /// Maximum device bytes of time steps that are read ahead.
     pub(super) fn ahead_bytes(&self) -> u64 {
         self.read_ahead.saturating_mul(MIB)
     }
 
-    /// Bytes of surfaces that were encoded.
+    /// Maximum host bytes of the cache of encoded surfaces.
     pub(super) fn shared_bytes(&self) -> u64 {
         self.shared_memory.saturating_mul(MIB)
     }
 }
 
-/// Makes glibc return freed memory to the system. To be called once, before any work. Pieces of 1 MiB or more are mapped one by one, and
-/// unmapped when they are freed. By default glibc maps pieces from 128 KiB on, but raises this threshold to up to 32 MiB once such pieces
-/// are freed. The buffers of a CPU driver then lie in glibc's heaps, where live pieces keep freed ones between them from being returned.
-/// Free pages between smaller pieces are returned every 30 s: in ten minutes of many viewers they had grown to 0.1 GB.
+/// Makes glibc return freed memory to the system. Called once, before any other work.
+///
+/// Allocations from [`MIN_MAPPED_BYTES`] on are mapped one by one, and unmapped when they are freed. By default glibc maps allocations from
+/// 128 KiB on, but raises this threshold to up to 32 MiB once such allocations are freed. The buffers of a CPU driver then lie in glibc's
+/// heaps, where live allocations prevent the freed ones between them from being returned.
+///
+/// A thread returns free pages between smaller allocations: with many viewers they had grown to 0.1 GB in ten minutes.
 fn return_freed_memory() {
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
     {
-        // SAFETY: sets a number of the allocator.
-        unsafe { libc::mallopt(libc::M_MMAP_THRESHOLD, LARGE_PIECE) };
+        // SAFETY: the call only sets a parameter of the allocator.
+        unsafe { libc::mallopt(libc::M_MMAP_THRESHOLD, MIN_MAPPED_BYTES) };
         let trim = || {
             loop {
                 std::thread::sleep(TRIM_INTERVAL);

@@ -1,13 +1,14 @@
-//! Signals, and the end of the process.
+//! Handlers of signals, and the end of the process.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-/// What comes before a shutdown: for some time all go on, so that balancers find out that others are to be asked.
+/// The time before a shutdown in which the server still answers all requests, but is not ready any more, so that load balancers stop
+/// sending it new ones.
 pub(super) struct Drain {
     pub time: Duration,
-    /// Set when it begins.
+    /// Set when the drain begins.
     pub has_begun: Arc<AtomicBool>,
 }
 
@@ -23,8 +24,13 @@ impl Drain {
     }
 }
 
-/// Resolves at ctrl-c or SIGTERM, after [`Drain`], which another such signal ends. SIGHUP, which a terminal sends when it closes and an administrator for a reload, ends nothing: `reload`
-/// reads again what can be, and says what it has read. The handlers are installed when this returns.
+/// Returns a future that resolves after ctrl-c or SIGTERM and the [`Drain`] that follows. Another such signal ends the drain at once.
+///
+/// SIGHUP calls `reload`, which returns a text for the log on what it has reloaded, and the server continues. A terminal also sends SIGHUP
+/// when it closes. The handlers are installed when this function returns.
+///
+/// # Errors
+/// The handlers cannot be installed.
 #[cfg(unix)]
 pub(super) fn shutdown(
     reload: impl Fn() -> &'static str + Send + 'static,
@@ -39,7 +45,7 @@ pub(super) fn shutdown(
                 _ = interrupt.recv() => break,
                 _ = terminate.recv() => break,
                 Some(()) = hang_up.recv() => {
-                    // Short files; new connections wait for them.
+                    // The files are short; new connections wait until they are read.
                     let read = tokio::task::block_in_place(&reload);
                     tracing::info!("SIGHUP: {read}, the server goes on");
                 }
@@ -55,7 +61,7 @@ pub(super) fn shutdown(
     })
 }
 
-/// Resolves at ctrl-c.
+/// Returns a future that resolves after ctrl-c and the drain that follows. There is no reload without SIGHUP.
 #[cfg(not(unix))]
 pub(super) fn shutdown(
     _: impl Fn() -> &'static str + Send + 'static,
@@ -71,10 +77,10 @@ pub(super) fn shutdown(
     })
 }
 
-/// Ends the process at once, without the exit handlers of libraries: those of an OpenCL driver may wait for its work, or crash beside it.
+/// Ends the process at once, without the exit handlers of libraries: those of an OpenCL driver may wait for running kernels, or crash.
 #[cfg(unix)]
 pub(super) fn exit_now(success: bool) -> ! {
-    // SAFETY: it takes a number and does not return; no memory of the process is touched.
+    // SAFETY: the function takes a number, touches no memory, and does not return.
     unsafe { libc::_exit(i32::from(!success)) }
 }
 

@@ -34,8 +34,9 @@ pub struct Store {
     /// One connection, because SQLite writes one transaction at a time, and each takes some milliseconds. Tasks wait for it without
     /// blocking a thread.
     connection: Arc<Mutex<Connection>>,
-    /// The owner of the last extraction that was taken.
+    /// Owner of the extraction that the runner took last. The runner takes from the owners in turn.
     last_owner: Arc<std::sync::Mutex<String>>,
+    /// Path of the reserve ([`RESERVE_BYTES`]).
     reserve: Arc<Path>,
 }
 
@@ -43,10 +44,10 @@ pub struct Store {
 const RESERVE_BYTES: usize = 1 << 20;
 
 impl Store {
-    /// Opens the store in a file, which is made if it is missing.
+    /// Opens the store in a file, which is created if it is missing, and migrates it.
     ///
     /// # Errors
-    /// [`StoreError`].
+    /// SQLite fails, or a newer version has written the store.
     pub fn open(file: &Path) -> Result<Self, StoreError> {
         let mut connection = Connection::open(file)?;
         connection.busy_timeout(BUSY_TIMEOUT)?;
@@ -83,7 +84,7 @@ impl Store {
         outcome
     }
 
-    /// Runs a transaction.
+    /// Runs a transaction, which may read and write, on a blocking thread. It is rolled back if `work` fails.
     pub(super) async fn write<T, E>(
         &self,
         work: impl FnOnce(&Transaction<'_>) -> Result<T, E> + Send + 'static,
@@ -103,10 +104,10 @@ impl Store {
         done.await.unwrap_or_else(|_| Err(StoreError::Panicked.into()))
     }
 
-    /// Returns the existing results: job and number of the extraction.
+    /// Returns the extractions that have a result: the id of the job, and the number of the extraction.
     ///
     /// # Errors
-    /// [`StoreError`].
+    /// SQLite fails.
     pub async fn results(&self) -> Result<HashSet<(String, u32)>, StoreError> {
         self.write(|transaction| {
             let mut rows = transaction.prepare(
@@ -119,7 +120,7 @@ impl Store {
     }
 }
 
-/// Makes the reserve if there is none and the disk has space for it.
+/// Creates the reserve if there is none and the disk has space for it.
 fn keep_reserve(path: &Path) {
     if path.exists() {
         return;
@@ -131,6 +132,7 @@ fn keep_reserve(path: &Path) {
     }
 }
 
+/// Runs the migrations that the store has not had.
 fn migrate(connection: &mut Connection) -> Result<(), StoreError> {
     let transaction = connection.transaction_with_behavior(TransactionBehavior::Immediate)?;
     let found: i64 = transaction.pragma_query_value(None, "user_version", |row| row.get(0))?;
@@ -150,14 +152,15 @@ fn now() -> f64 {
         .map_or(0.0, |since| since.as_secs_f64())
 }
 
-fn state(name: &str) -> Result<JobState, StoreError> {
+/// Parses a state as the store has it.
+fn parse_state(name: &str) -> Result<JobState, StoreError> {
     let found = JobState::ALL.into_iter().find(|state| state.name() == name);
     found.ok_or_else(|| StoreError::Malformed(format!("the state {name:?}")))
 }
 
-/// Converts a row of [`JOB_COLUMNS`] to a job and its number.
+/// Converts a row of [`JOB_COLUMNS`] to a job, and returns it with its number: the row id, by which other tables refer to the job.
 fn job_info(row: &Row<'_>) -> Result<(i64, JobInfo), StoreError> {
-    let state = state(&row.get::<_, String>(2)?)?;
+    let state = parse_state(&row.get::<_, String>(2)?)?;
     let extractions = progress(row, 3)?;
     let (seconds, estimate): (f64, _) = (
         row.get(8)?,
@@ -188,8 +191,8 @@ fn job_info(row: &Row<'_>) -> Result<(i64, JobInfo), StoreError> {
     Ok((row.get(17)?, info))
 }
 
-/// Returns the seconds that the remaining extractions take if each takes as long as those before on average, or as was estimated. The
-/// caller multiplies them by the number of owners, who take turns.
+/// Estimates the seconds that the remaining extractions take, from the mean of the finished ones (`seconds` in all), or from the estimate
+/// if none is finished. The caller multiplies them by the number of owners, who take turns.
 fn eta(extractions: Progress, seconds: f64, estimate: Estimate) -> f64 {
     let left = (extractions.total - extractions.ended()) as f64;
     let each = match extractions.done {
@@ -199,6 +202,7 @@ fn eta(extractions: Progress, seconds: f64, estimate: Estimate) -> f64 {
     left * each
 }
 
+/// Reads the columns `total`, `done`, `failed` and `empty`, of which `from` is the first.
 fn progress(row: &Row<'_>, from: usize) -> Result<Progress, StoreError> {
     Ok(Progress {
         total: row.get(from)?,
@@ -210,15 +214,15 @@ fn progress(row: &Row<'_>, from: usize) -> Result<Progress, StoreError> {
 
 /// Adds an event of a job, with the job's present state.
 fn add_event(transaction: &Transaction<'_>, job: i64, extraction: Option<u32>) -> Result<(), StoreError> {
-    let found = transaction.query_row(
+    let (name, extractions) = transaction.query_row(
         "SELECT state, total, done, failed, empty FROM jobs WHERE number = ?1",
         [job],
         |row| Ok((row.get::<_, String>(0)?, progress(row, 1))),
     )?;
     let event = JobEvent {
         id: None,
-        state: state(&found.0)?,
-        extractions: found.1?,
+        state: parse_state(&name)?,
+        extractions: extractions?,
         extraction,
         paused: None,
     };
@@ -227,7 +231,7 @@ fn add_event(transaction: &Transaction<'_>, job: i64, extraction: Option<u32>) -
     Ok(())
 }
 
-/// Converts the result of a query for a row that may not exist.
+/// Flattens the result of a query for a row that may not exist: `None` if there is no row.
 fn optional<T>(found: rusqlite::Result<Result<T, StoreError>>) -> Result<Option<T>, StoreError> {
     found.optional()?.transpose()
 }

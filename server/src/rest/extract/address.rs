@@ -1,5 +1,5 @@
-//! A surface as a file, by an address that contains the whole request. The answer has an entity tag of its bytes, so that a client can
-//! revalidate a file that it has, or continue a partial download.
+//! `GET /api/v1/extract`: returns a surface as a file, from a query string that contains the whole request. The response has an entity tag
+//! that is a hash of the bytes, so that a client can revalidate a file that it has, or continue a partial download.
 
 use std::num::NonZero;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -18,15 +18,16 @@ use crate::access::Identity;
 use crate::export::{FileDigest, FileRequest, FileSurface, Format};
 use crate::problem::{ApiError, Problem};
 use crate::rest::content_encoding::ContentEncoding;
-use crate::rest::ranges::Asked;
+use crate::rest::ranges::RequestedRange;
 
-/// Names whose values are text, even if they look like numbers.
-const TEXTS: [&str; 9] = [
+/// Query parameters whose values are text, even if they look like numbers.
+const TEXT_PARAMETERS: [&str; 9] = [
     "volume", "format", "field", "feature", "mask", "outward", "unit", "label", "compress",
 ];
 
-/// A cache revalidates the file each time, even for the same user, because the volume or the user's access to it may have changed.
-const CACHED: [(HeaderName, HeaderValue); 2] = [
+/// Headers that make a cache revalidate the file each time, even for the same user: the volume, or the user's access to it, may have
+/// changed.
+const CACHE_HEADERS: [(HeaderName, HeaderValue); 2] = [
     (header::CACHE_CONTROL, HeaderValue::from_static("private, no-cache")),
     (
         header::VARY,
@@ -34,20 +35,20 @@ const CACHED: [(HeaderName, HeaderValue); 2] = [
     ),
 ];
 
-/// Maximum files whose tags are remembered.
-const MAX_KNOWN_TAGS: NonZero<usize> = NonZero::new(1024).expect("not 0");
+/// Maximum number of files whose digests are remembered.
+const MAX_KNOWN_DIGESTS: NonZero<usize> = NonZero::new(1024).expect("not 0");
 
-/// The tags of files that were made, by their requests. Equal requests give equal bytes while the volume does not change.
+/// Digests of the files that were made, by the keys of their requests. Equal requests give equal bytes while the volume does not change.
 #[derive(Clone, Debug)]
-pub(in crate::rest) struct KnownTags(Arc<Mutex<LruCache<RequestKey, FileDigest>>>);
+pub(in crate::rest) struct KnownDigests(Arc<Mutex<LruCache<RequestKey, FileDigest>>>);
 
-impl Default for KnownTags {
+impl Default for KnownDigests {
     fn default() -> Self {
-        Self(Arc::new(Mutex::new(LruCache::new(MAX_KNOWN_TAGS))))
+        Self(Arc::new(Mutex::new(LruCache::new(MAX_KNOWN_DIGESTS))))
     }
 }
 
-/// Hash of those parts of a request that decide the bytes of its file.
+/// SHA-256 of everything in a request that decides the bytes of its file.
 type RequestKey = [u8; 32];
 
 fn request_key(surfaces: &[FileSurface], file: &FileRequest) -> RequestKey {
@@ -59,7 +60,7 @@ fn request_key(surfaces: &[FileSurface], file: &FileRequest) -> RequestKey {
     Sha256::digest(format!("{:?} {all:?}", file.options)).into()
 }
 
-impl KnownTags {
+impl KnownDigests {
     fn find(&self, key: &RequestKey) -> Option<FileDigest> {
         self.lock().get(key).copied()
     }
@@ -83,8 +84,8 @@ fn tag(digest: FileDigest, encoding: ContentEncoding) -> String {
     encoding.tag(&hash(digest))
 }
 
-/// Whether the client states that it already has the file of this digest.
-fn has(headers: &HeaderMap, digest: FileDigest) -> bool {
+/// Whether the client states in `If-None-Match` that it has the file of this digest, in any encoding.
+fn client_has(headers: &HeaderMap, digest: FileDigest) -> bool {
     ContentEncoding::is_known(headers, &hash(digest))
 }
 
@@ -136,32 +137,34 @@ pub async fn extract_by_address(
 ) -> Result<Response, ApiError> {
     let Query(query) = query?;
     let refused = |message| ApiError::new(StatusCode::BAD_REQUEST, "bad-request", message);
-    let ExtractRequest { volume, file } = request_of(query).map_err(refused)?;
+    let ExtractRequest { volume, file } = parse_query(query).map_err(refused)?;
     // Checks access to the volume before the client's tags.
     let volume = state.volume(&who, &volume, file.step)?;
     let others = other_volumes(&state, &who, &file)?;
     let surfaces = file.surfaces(&volume, &others)?;
-    // A file whose bytes are not reproducible is made for each request, with a tag of its own.
-    let is_known = file.options.is_reproducible();
-    let (key, known) = (request_key(&surfaces, &file), state.known_tags.clone());
+    // A file whose bytes are not reproducible is made for each request, and its digest is not remembered.
+    let is_reproducible = file.options.is_reproducible();
+    let (key, known) = (request_key(&surfaces, &file), state.known_digests.clone());
     let encoding = ContentEncoding::accepted(&headers);
-    let before = known.find(&key).filter(|digest| is_known && has(&headers, *digest));
-    if let Some(digest) = before {
+    let unchanged = known
+        .find(&key)
+        .filter(|digest| is_reproducible && client_has(&headers, *digest));
+    if let Some(digest) = unchanged {
         return not_modified(digest, encoding);
     }
     let made = Source { volume, others }.made(state, &who, file).await?;
     let digest = made.digest;
-    if is_known {
+    if is_reproducible {
         known.insert(key, digest);
     }
-    if has(&headers, digest) {
+    if client_has(&headers, digest) {
         return not_modified(digest, encoding);
     }
     let own_tag = tag(digest, ContentEncoding::Identity);
-    let mut response = match Asked::of(&headers, &own_tag, digest.bytes) {
-        Asked::Beyond(answer) => answer,
-        Asked::Part(range) => tagged(made.range(range)?, &own_tag)?,
-        Asked::Whole => tagged(made.whole(encoding)?, &tag(digest, encoding))?,
+    let mut response = match RequestedRange::from_headers(&headers, &own_tag, digest.bytes) {
+        RequestedRange::NotSatisfiable(answer) => answer,
+        RequestedRange::Part(range) => with_tag(made.range(range)?, &own_tag)?,
+        RequestedRange::Whole => with_tag(made.whole(encoding)?, &tag(digest, encoding))?,
     };
     let ranges = HeaderValue::from_static("bytes");
     response.headers_mut().insert(header::ACCEPT_RANGES, ranges);
@@ -169,26 +172,29 @@ pub async fn extract_by_address(
 }
 
 fn not_modified(digest: FileDigest, encoding: ContentEncoding) -> Result<Response, ApiError> {
-    tagged(StatusCode::NOT_MODIFIED.into_response(), &tag(digest, encoding))
+    with_tag(StatusCode::NOT_MODIFIED.into_response(), &tag(digest, encoding))
 }
 
-/// Adds the headers of a tag to an answer.
-fn tagged(mut response: Response, tag: &str) -> Result<Response, ApiError> {
+/// Adds the entity tag and the headers for caches to a response.
+fn with_tag(mut response: Response, tag: &str) -> Result<Response, ApiError> {
     let headers = response.headers_mut();
     headers.insert(header::ETAG, HeaderValue::from_str(tag).map_err(ApiError::internal)?);
-    for (name, value) in CACHED {
+    for (name, value) in CACHE_HEADERS {
         headers.insert(name, value);
     }
     Ok(response)
 }
 
-/// Returns the request of a query, or the fault of the query.
-fn request_of(query: Vec<(String, String)>) -> Result<ExtractRequest, String> {
+/// Parses the parameters of a query.
+///
+/// # Errors
+/// What is wrong with the query, for the client.
+fn parse_query(query: Vec<(String, String)>) -> Result<ExtractRequest, String> {
     let mut fields = Map::new();
     for (name, text) in query {
-        let value = match TEXTS.contains(&name.as_str()) {
+        let value = match TEXT_PARAMETERS.contains(&name.as_str()) {
             true => Value::String(text),
-            false => value_of(&name, text)?,
+            false => parse_value(&name, text)?,
         };
         if fields.insert(name.clone(), value).is_some() {
             return Err(format!("{name:?} is there twice, expected it once"));
@@ -197,8 +203,8 @@ fn request_of(query: Vec<(String, String)>) -> Result<ExtractRequest, String> {
     serde_json::from_value(Value::Object(fields)).map_err(|error| error.to_string())
 }
 
-/// Parses a number, an object, a list, true, false or null of JSON. Any other text is a string.
-fn value_of(name: &str, text: String) -> Result<Value, String> {
+/// Parses the value of a parameter as JSON. Text that is not JSON is a string, unless it begins like an object or a list.
+fn parse_value(name: &str, text: String) -> Result<Value, String> {
     match serde_json::from_str(&text) {
         Err(error) if text.starts_with(['{', '[']) => Err(format!("{name}: expected JSON, found {text:?}: {error}")),
         Err(_) => Ok(Value::String(text)),
@@ -211,7 +217,7 @@ mod tests {
     use super::*;
 
     fn request(query: &[(&str, &str)]) -> Result<ExtractRequest, String> {
-        request_of(
+        parse_query(
             query
                 .iter()
                 .map(|(name, text)| ((*name).into(), (*text).into()))
@@ -263,7 +269,7 @@ mod tests {
                     HeaderValue::from_str(&tags.replace("ab", &whole)).unwrap(),
                 );
             }
-            has(&headers, digest)
+            client_has(&headers, digest)
         };
         for tags in [
             &["\"ab\""][..],
@@ -287,15 +293,15 @@ mod tests {
             if let Some(tag) = if_range {
                 headers.insert(header::IF_RANGE, HeaderValue::from_str(tag).unwrap());
             }
-            match Asked::of(&headers, &tag(digest, ContentEncoding::Identity), digest.bytes) {
-                Asked::Part(part) => Some(part),
-                Asked::Whole => None,
-                Asked::Beyond(_) => panic!("it begins in the file"),
+            match RequestedRange::from_headers(&headers, &tag(digest, ContentEncoding::Identity), digest.bytes) {
+                RequestedRange::Part(part) => Some(part),
+                RequestedRange::Whole => None,
+                RequestedRange::NotSatisfiable(_) => panic!("it begins in the file"),
             }
         };
         let same = tag(digest, ContentEncoding::Identity);
-        assert_eq!(of(None), Some([1, 9]));
-        assert_eq!(of(Some(&same)), Some([1, 9]));
+        assert_eq!(of(None), Some(1..9));
+        assert_eq!(of(Some(&same)), Some(1..9));
         for other in ["\"x\"", &format!("W/{same}"), &tag(digest, ContentEncoding::Zstd)] {
             assert_eq!(of(Some(other)), None, "{other}");
         }

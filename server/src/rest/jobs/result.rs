@@ -1,4 +1,4 @@
-//! The files of a batch job.
+//! Downloads of the files of a batch job.
 
 use axum::body::Body;
 use axum::extract::rejection::PathRejection;
@@ -15,7 +15,7 @@ use crate::jobs::ResultInfo;
 use crate::problem::{ApiError, Problem};
 use crate::rest::ApiState;
 use crate::rest::extract::File;
-use crate::rest::ranges::{Asked, content_range};
+use crate::rest::ranges::{RequestedRange, content_range};
 
 /// SHA-256 of a whole result (RFC 9530).
 pub const DIGEST_HEADER: HeaderName = HeaderName::from_static("repr-digest");
@@ -63,17 +63,17 @@ pub(super) async fn result(
     if headers.get(header::IF_NONE_MATCH).is_some_and(|shown| *shown == *etag) {
         return Ok((StatusCode::NOT_MODIFIED, [(header::ETAG, etag)]).into_response());
     }
-    let range = match Asked::of(&headers, &etag, found.bytes) {
-        Asked::Whole => None,
-        Asked::Part(range) => Some(range),
-        Asked::Beyond(answer) => return Ok(answer),
+    let range = match RequestedRange::from_headers(&headers, &etag, found.bytes) {
+        RequestedRange::Whole => None,
+        RequestedRange::Part(range) => Some(range),
+        RequestedRange::NotSatisfiable(answer) => return Ok(answer),
     };
-    let [from, to] = range.unwrap_or([0, found.bytes]);
-    let body = Body::from_stream(jobs.read(&id, extraction, from..to).await?);
-    let name = format!("attachment; filename=\"{}\"", file_name(extraction, &found));
+    let part = range.clone().unwrap_or(0..found.bytes);
+    let body = Body::from_stream(jobs.read(&id, extraction, part.clone()).await?);
+    let name = format!("attachment; filename=\"{}\"", download_name(extraction, &found));
     let answer = Response::builder()
         .header(header::CONTENT_TYPE, found.format.content_type())
-        .header(header::CONTENT_LENGTH, to - from)
+        .header(header::CONTENT_LENGTH, part.end - part.start)
         .header(header::CONTENT_DISPOSITION, name)
         .header(header::ACCEPT_RANGES, "bytes")
         .header(header::CACHE_CONTROL, "private, no-cache")
@@ -83,13 +83,13 @@ pub(super) async fn result(
         None => answer,
         Some(range) => answer
             .status(StatusCode::PARTIAL_CONTENT)
-            .header(header::CONTENT_RANGE, content_range(range, found.bytes)),
+            .header(header::CONTENT_RANGE, content_range(&range, found.bytes)),
     };
     answer.body(body).map_err(ApiError::internal)
 }
 
-/// Returns a name such as `00002-517.5.glb`, from the number of the extraction and its isovalue.
-fn file_name(extraction: u32, found: &ResultInfo) -> String {
+/// Returns the name that a browser gives the download, such as `00002-517.5.glb`: number of the extraction and isovalue.
+fn download_name(extraction: u32, found: &ResultInfo) -> String {
     let iso = found.iso.map(|iso| format!("-{iso}")).unwrap_or_default();
     format!("{extraction:05}{iso}.{}", found.format.extension())
 }

@@ -33,7 +33,7 @@ impl<B: Backend> Session<B> {
             }
             // Without the role `edit` an edit may change nothing: it requests the opening view.
             Ok(view) if view != before && !self.who.may(Role::Edit) => self.refuse_edit(),
-            Ok(view) => self.take_edit(surface, view, edit),
+            Ok(view) => self.accept_edit(surface, view, edit),
             Err(error) => self.send_error("bad-edit", error.to_string(), true),
         }
     }
@@ -72,7 +72,7 @@ impl<B: Backend> Session<B> {
             };
             let is_same = std::mem::replace(&mut session.allotted, budget) == budget;
             match session.generation_mut() {
-                Some(generation) if generation.is_unstepped() => generation.set_budget(budget),
+                Some(generation) if generation.has_no_step() => generation.set_budget(budget),
                 Some(generation) if generation.is_overtaken => {}
                 _ if is_same || budget.is_none() || Some(number) == edited => {}
                 _ => self.change(number),
@@ -126,10 +126,10 @@ impl<B: Backend> Session<B> {
             return;
         };
         self.end_generation(number);
-        self.questions.removed(number);
+        self.questions.drop_surface(number);
         self.outbox.drop_annotations();
         if let Some(opened) = &mut self.opened {
-            opened.remove_at_wish(number);
+            opened.remove_by_user(number);
         }
         self.send(&ServerMessage::Removed { surface: number });
         if let Some(opened) = &mut self.opened {
@@ -140,7 +140,10 @@ impl<B: Backend> Session<B> {
 
     pub(super) fn on_drawn(&mut self, generation: u32) {
         self.acknowledges = true;
-        let surface = self.opened.as_mut().and_then(|opened| opened.of_generation(generation));
+        let surface = self
+            .opened
+            .as_mut()
+            .and_then(|opened| opened.surface_of_generation(generation));
         if let Some(generation) = surface.and_then(|(_, surface)| surface.generation_mut()) {
             generation.draw_pause.end();
         }

@@ -97,7 +97,7 @@ impl<B: Backend> Session<B> {
         session.failed.get_or_insert(failed);
         let failure = match session.generation_mut() {
             Some(generation) if !may_stay && generation.failure.is_some() => {
-                generation.clear(&volume);
+                generation.queue_empty_step(&volume);
                 return self.allot(None);
             }
             Some(generation) => generation.failure.take(),

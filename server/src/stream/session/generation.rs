@@ -59,8 +59,9 @@ pub(super) struct Generation {
     pub stages: Vec<StageTime>,
     /// Pause until the client has drawn the first prefix.
     pub draw_pause: DrawPause,
-    /// Number of the connection's last job when this generation began to wait for its next one.
-    pub waits_since: u64,
+    /// Number of the connection's last job when this generation began to wait for its next one: the generation with the lowest number has
+    /// waited longest.
+    pub waiting_since_job: u64,
     /// Error of the generation's work. It is sent after the regions that the client may not keep are removed.
     pub failure: Option<Box<ServerMessage>>,
     /// Guard that delays the further steps of other members of the group until this first step is ready to be sent. `None` if the viewer is
@@ -89,10 +90,10 @@ pub(super) enum Making {
 pub(super) enum Sending {
     Idle,
     /// The pool compares the step with the regions that the client holds.
-    Comparing(Sent),
+    Comparing(StepBeingSent),
     /// The regions of the step are encoded in batches.
     Encoding {
-        sent: Sent,
+        sent: StepBeingSent,
         step: Arc<SharedStep>,
         coding: Coding,
         /// Regions that are in no batch yet, in reverse order: the last one is taken next.
@@ -103,11 +104,11 @@ pub(super) enum Sending {
         held: HeldRegions,
     },
     /// `committed` waits for the writer. Then the client holds these regions.
-    Committing(Sent, HeldRegions),
+    Committing(StepBeingSent, HeldRegions),
 }
 
 /// The properties of a step that is being sent.
-pub(super) struct Sent {
+pub(super) struct StepBeingSent {
     pub id: PrefixId,
     pub cut: CutId,
     pub is_final: bool,
@@ -115,8 +116,8 @@ pub(super) struct Sent {
     pub can_improve: bool,
     /// Triangles of the whole surface once the step is committed.
     pub surface_triangles: u64,
-    /// Triangles that were made for this viewer, and the time since their cut was known; `None` if another viewer's job made them.
-    pub own: Option<(u64, Duration)>,
+    /// What was made for this viewer; `None` if the job of another viewer made the step.
+    pub own: Option<OwnStep>,
     /// When the comparison of the step began.
     pub began: Instant,
     /// Bytes of the step's chunks so far.
@@ -125,6 +126,13 @@ pub(super) struct Sent {
     pub handed_over: Option<Instant>,
     /// Statistics of the final surface; `None` for other steps.
     pub statistics: Option<ExtractionStatistics>,
+}
+
+/// Triangles of a step, and the time for them: a measurement for the pace.
+pub(super) struct OwnStep {
+    pub triangles: u64,
+    /// Time of meshing, from when the cut of the step was known.
+    pub time: Duration,
 }
 
 impl Generation {
@@ -147,7 +155,7 @@ impl Generation {
             wall: Duration::ZERO,
             stages: Vec::new(),
             draw_pause: DrawPause::default(),
-            waits_since: 0,
+            waiting_since_job: 0,
             failure: None,
             first_step: None,
             begun: None,
@@ -158,12 +166,12 @@ impl Generation {
 
     /// Whether this generation only improves a final surface at rest, and none of its frames was sent.
     pub(super) fn is_unsent_improvement(&mut self) -> bool {
-        let is_seen = |sent: &mut Sent| sent.handed_over.is_some();
+        let is_seen = |sent: &mut StepBeingSent| sent.handed_over.is_some();
         self.begun.is_none() && !self.committed && !self.sent().is_some_and(is_seen)
     }
 
     /// Creates a generation that an edit has requested.
-    pub(super) fn of_edit(surface: u8, number: u32, view: View, key: ViewKey, shown: Shown) -> Self {
+    pub(super) fn from_edit(surface: u8, number: u32, view: View, key: ViewKey, shown: Shown) -> Self {
         metrics::edit_begun();
         Self {
             begun: Some(Instant::now()),
@@ -172,7 +180,7 @@ impl Generation {
     }
 
     /// Records that a step is ready to be committed.
-    pub(super) fn note_commit(&mut self, is_final: bool) {
+    pub(super) fn record_commit(&mut self, is_final: bool) {
         self.first_step = None;
         let Some(begun) = self.begun else { return };
         if !self.committed {
@@ -184,16 +192,16 @@ impl Generation {
     }
 
     /// Records that the device has counted the full surface.
-    pub(super) fn counted(&mut self, count: &FullCount) {
+    pub(super) fn record_count(&mut self, count: &FullCount) {
         self.add_times(count.wall, &count.stages);
         self.making = Making::Waiting;
     }
 
     /// Records that the device has made a step.
-    pub(super) fn made(&mut self, offered: Offered) {
+    pub(super) fn record_step(&mut self, offered: Offered) {
         let made = &offered.step.made;
         self.add_times(made.wall, &made.surface.statistics.stages);
-        self.shown = self.held(made.cut).shown_for(self.key.surface(), &self.view);
+        self.shown = self.surface_after(made.cut).shown_for(self.key.surface(), &self.view);
         self.target = made.target;
         self.steps_made += 1;
         self.made_triangles = made.surface.statistics.triangles;
@@ -202,8 +210,8 @@ impl Generation {
         self.making = Making::Made(offered);
     }
 
-    /// Returns the surface that a client holds after this cut was sent to it.
-    pub(super) fn held(&self, cut: CutId) -> HeldSurface {
+    /// Returns the surface that the client holds once this cut is committed.
+    pub(super) fn surface_after(&self, cut: CutId) -> HeldSurface {
         HeldSurface {
             view: self.view.clone(),
             key: self.key.surface().clone(),
@@ -211,7 +219,7 @@ impl Generation {
         }
     }
 
-    /// Sets another part of the budget. Called only before anything is made.
+    /// Changes the part of the budget. Does nothing if the view has no budget. Called only before the first step is begun.
     pub(super) fn set_budget(&mut self, budget: Option<Budget>) {
         if self.view.budget.is_some() && budget.is_some() && self.view.budget != budget {
             self.view.budget = budget;
@@ -219,6 +227,7 @@ impl Generation {
         }
     }
 
+    /// Adds the times of a job to the sums.
     fn add_times(&mut self, wall: Duration, stages: &[StageTime]) {
         self.wall += wall;
         for stage in stages {
@@ -229,13 +238,13 @@ impl Generation {
         }
     }
 
-    /// Whether no step was begun, so that the part of the budget may still change.
-    pub(super) fn is_unstepped(&self) -> bool {
+    /// Whether no step was begun. Until then the part of the budget may change.
+    pub(super) fn has_no_step(&self) -> bool {
         self.steps_made == 0 && matches!(self.making, Making::Waiting)
     }
 
-    /// After a failure: makes an empty surface the next step, behind the one that is being sent, so that the client then holds nothing.
-    pub(super) fn clear(&mut self, volume: &VolumeStep) {
+    /// After a failure: makes an empty surface the next step, after which the client holds nothing. Waits if another step is being sent.
+    pub(super) fn queue_empty_step(&mut self, volume: &VolumeStep) {
         self.making = match self.sending {
             Sending::Idle => Making::Made(Offered::nothing(&self.view, volume)),
             _ => Making::Waiting,
@@ -258,19 +267,23 @@ impl Generation {
         }
     }
 
-    /// Returns the properties of a step that are needed while it is sent.
-    pub(super) fn sent_of(&self, offered: &Offered, smallest: f64, device: &str) -> Sent {
+    /// Returns the properties of a step that are needed while it is sent. `smallest_length`: the smallest edge of
+    /// the volume's cells, in world units.
+    pub(super) fn step_being_sent(&self, offered: &Offered, smallest_length: f64, device: &str) -> StepBeingSent {
         let made = &offered.step.made;
         let statistics = made.is_final.then(|| {
             let kernels = SurfaceStatistics {
                 stages: self.stages.clone(),
                 ..made.surface.statistics.clone()
             };
-            ExtractionStatistics::new(&kernels, &made.view, smallest, self.wall, device)
+            ExtractionStatistics::new(&kernels, &made.view, smallest_length, self.wall, device)
         });
         let triangles = offered.step.regions.iter().map(|region| region.triangles as u64);
-        let own = offered.is_own.then(|| (triangles.sum(), made.meshing));
-        Sent {
+        let own = offered.is_own.then(|| OwnStep {
+            triangles: triangles.sum(),
+            time: made.meshing,
+        });
+        StepBeingSent {
             id: PrefixId::cut(self.surface, self.number, made.surface.prefix.get()),
             cut: made.cut,
             is_final: made.is_final,
@@ -302,7 +315,7 @@ impl Generation {
     }
 
     /// Returns the step that is being sent, if there is one.
-    pub(super) fn sent(&mut self) -> Option<&mut Sent> {
+    pub(super) fn sent(&mut self) -> Option<&mut StepBeingSent> {
         match &mut self.sending {
             Sending::Idle => None,
             Sending::Comparing(sent) | Sending::Encoding { sent, .. } | Sending::Committing(sent, _) => Some(sent),

@@ -8,7 +8,7 @@ use super::super::groups::{GroupError, GroupEvent, Leader, Scene};
 use super::Session;
 use super::open_volume::OpeningPhase;
 use super::outbox::Newest;
-use super::pending::{NamedBudget, PendingStep};
+use super::pending::{BudgetEdit, PendingStep};
 use crate::access::{Occupant, Role};
 use crate::wire::group::{Pose, Resume, check_name};
 use crate::wire::messages::{ClientMessage, ServerMessage};
@@ -211,7 +211,7 @@ impl<B: Backend> Session<B> {
         let is_step = open.is_some_and(|opened| opened.volume.key() == scene.volume.key());
         match (is_volume, is_step) {
             (true, true) => {}
-            (true, false) if is_open => self.step_into_force(PendingStep {
+            (true, false) if is_open => self.bring_step_into_force(PendingStep {
                 volume: scene.volume.clone(),
                 cancelled_after: None,
             }),
@@ -243,10 +243,10 @@ impl<B: Backend> Session<B> {
             let Some(opened) = &self.opened else { return };
             let is_made = opened.surface(*number).is_some_and(|surface| surface.edited > 0);
             if !is_made || opened.view_of(*number) != *view {
-                self.count_edit();
+                self.begin_edit();
                 let edit = self.edits;
-                let named = view.budget.map(|budget| NamedBudget { budget, edit });
-                self.come_into_force(*number, view.clone(), named, edit, true);
+                let budget_edit = view.budget.map(|budget| BudgetEdit { budget, edit });
+                self.come_into_force(*number, view.clone(), budget_edit, edit, true);
             }
         }
         let Some(opened) = &self.opened else { return };

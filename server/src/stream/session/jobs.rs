@@ -16,7 +16,7 @@ use super::super::backend::{Backend, Opening};
 use super::super::groups::Member;
 use super::super::prefix::{Changes, PrefixError, compare, encode, take_batch};
 use super::super::shared::{Offered, Outcome, Wanted};
-use super::generation::{Generation, Making, Sending};
+use super::generation::{Generation, Making, OwnStep, Sending};
 use super::open_volume::OpeningPhase;
 use super::outbox::Frame;
 use super::rest::RestWork;
@@ -92,7 +92,7 @@ impl<B: Backend> Session<B> {
 
     fn on_opened(&mut self, opening: Opening) {
         let Some(opened) = &mut self.opened else { return };
-        opened.opened(opening.view.clone(), self.edits);
+        opened.on_opened(opening.view.clone(), self.edits);
         opened.device = opening.device.clone();
         opened.shares_processors = opening.shares_processors;
         let message = ServerMessage::Opened {
@@ -110,13 +110,17 @@ impl<B: Backend> Session<B> {
     }
 
     fn on_counted(&mut self, number: u32, result: Outcome<FullCount>) {
-        let Some((surface, session)) = self.opened.as_mut().and_then(|opened| opened.of_generation(number)) else {
+        let Some((surface, session)) = self
+            .opened
+            .as_mut()
+            .and_then(|opened| opened.surface_of_generation(number))
+        else {
             return;
         };
         match result {
             Ok(count) => {
                 if let Phase::Working(generation) = &mut session.phase {
-                    generation.counted(&count);
+                    generation.record_count(&count);
                     session.full = Some((generation.key.surface().clone(), count.triangles));
                     session.prove();
                 }
@@ -128,7 +132,11 @@ impl<B: Backend> Session<B> {
 
     fn on_refined(&mut self, number: u32, result: Outcome<Offered>) {
         let acknowledges = self.acknowledges;
-        let Some((surface, session)) = self.opened.as_mut().and_then(|opened| opened.of_generation(number)) else {
+        let Some((surface, session)) = self
+            .opened
+            .as_mut()
+            .and_then(|opened| opened.surface_of_generation(number))
+        else {
             return;
         };
         match result {
@@ -143,7 +151,7 @@ impl<B: Backend> Session<B> {
                 let statistics = &made.surface.statistics;
                 let removed = statistics.removed.map_or(0, |removed| removed.full_triangles);
                 session.full = Some((generation.key.surface().clone(), statistics.full_triangles + removed));
-                generation.made(offered);
+                generation.record_step(offered);
                 session.prove();
                 self.allot(None);
             }
@@ -153,7 +161,7 @@ impl<B: Backend> Session<B> {
 
     /// Handles the better surface of a viewer at rest: it is sent as one more step of the same generation, with another `done`.
     fn on_improved(&mut self, number: u32, result: Outcome<Option<Offered>>) {
-        let Some((surface, session)) = self.opened.as_mut().and_then(|opened| opened.of_rest(number)) else {
+        let Some((surface, session)) = self.opened.as_mut().and_then(|opened| opened.surface_at_rest(number)) else {
             return;
         };
         let Phase::Resting(rest) = &mut session.phase else {
@@ -168,8 +176,8 @@ impl<B: Backend> Session<B> {
                     rest.key.clone(),
                     Shown::Alike,
                 ));
-                generation.waits_since = self.jobs;
-                generation.made(offered);
+                generation.waiting_since_job = self.jobs;
+                generation.record_step(offered);
                 session.phase = Phase::Working(generation);
             }
             Ok(None) => rest.cannot_improve(),
@@ -183,7 +191,7 @@ impl<B: Backend> Session<B> {
 
     /// Sends a measurement to the client. A failed one is only logged, because no viewer depends on it.
     fn on_measured(&mut self, number: u32, result: Outcome<Option<Arc<Measurement>>>) {
-        let Some((surface, session)) = self.opened.as_mut().and_then(|opened| opened.of_rest(number)) else {
+        let Some((surface, session)) = self.opened.as_mut().and_then(|opened| opened.surface_at_rest(number)) else {
             return;
         };
         match result {
@@ -271,9 +279,8 @@ impl<B: Backend> Session<B> {
                 held,
                 ..
             } if remaining.is_empty() => {
-                let own = sent
-                    .own
-                    .map(|(triangles, time)| (triangles, time + sent.began.elapsed()));
+                let own = sent.own.take();
+                let encoding = sent.began.elapsed();
                 let committed = ServerMessage::Committed {
                     surface,
                     generation: sent.id.generation,
@@ -290,10 +297,10 @@ impl<B: Backend> Session<B> {
                     let milliseconds = generation.wall.as_secs_f64() * 1e3;
                     tracing::debug!(%trace, surface, triangles = sent.surface_triangles, milliseconds, "a surface is done");
                 }
-                generation.note_commit(sent.is_final);
+                generation.record_commit(sent.is_final);
                 generation.sending = Sending::Committing(sent, held);
-                if let Some((triangles, time)) = own {
-                    self.pace.made(triangles, time);
+                if let Some(OwnStep { triangles, time }) = own {
+                    self.pace.record_made(triangles, time + encoding);
                 }
                 self.outbox.push_back(Frame::Commit(surface, committed.to_json()));
                 self.outbox
@@ -363,7 +370,7 @@ impl<B: Backend> Session<B> {
         } else {
             coarse_coding
         };
-        generation.sending = Sending::Comparing(generation.sent_of(&made, smallest, &device));
+        generation.sending = Sending::Comparing(generation.step_being_sent(&made, smallest, &device));
         let (held, token) = (Arc::clone(&session.held), generation.token.clone());
         self.pool.push_back(Box::pin(async move {
             PoolDone::Compared(compare(made.step, held, coding, token).await)
@@ -441,7 +448,7 @@ impl<B: Backend> Session<B> {
         }
         let generation = session.generation_mut()?;
         generation.making = Making::OnDevice;
-        generation.waits_since = self.jobs;
+        generation.waiting_since_job = self.jobs;
         // Further steps of followers wait for the first steps of all members. The member in control does not wait.
         let waits = |member: &&Member| job == NextJob::Further && !member.has_control();
         let others_first = self.member.as_ref().filter(waits).map(Member::others_first);
@@ -457,9 +464,9 @@ impl<B: Backend> Session<B> {
             target: generation.target,
             made_triangles: generation.made_triangles,
             fresh_triangles: self.fresh_triangles(),
-            triangles: self.pace.changing(job == NextJob::First),
-            bytes: self.meshopt_bytes(self.pace.bytes()),
-            line_bytes: self.meshopt_bytes(self.line.bytes_within(self.pace.line_time()).max(self.pace.bytes())),
+            triangles: self.pace.step_triangles(job == NextJob::First),
+            bytes: self.meshopt_bytes(self.pace.max_bytes()),
+            line_bytes: self.meshopt_bytes(self.line.bytes_within(self.pace.line_time()).max(self.pace.max_bytes())),
         };
         let refine = async move {
             if let Some(others) = others_first {
@@ -492,7 +499,9 @@ impl<B: Backend> Session<B> {
     /// step soon.
     fn fresh_triangles(&self) -> u64 {
         let followers = self.member.as_ref().map_or(0, Member::follower_count);
-        self.pace.fresh().min(FOLLOWED_TRIANGLES / u64::from(followers.max(1)))
+        self.pace
+            .fresh_triangles()
+            .min(FOLLOWED_TRIANGLES / u64::from(followers.max(1)))
     }
 
     fn start_opening(&mut self) {

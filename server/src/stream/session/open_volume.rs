@@ -11,38 +11,42 @@ use super::super::backend::Backend;
 use super::Session;
 use super::generation::{Generation, Sending};
 use super::outbox::Newest;
-use super::pending::{NamedBudget, PendingStep};
+use super::pending::{BudgetEdit, PendingStep};
 use super::rest::Rest;
 use super::surface::SurfaceSession;
 use crate::service::{OpenStepGuard, OpeningProgress};
 
+/// The volume of a session, from the message `open` on.
 pub(super) struct OpenVolume {
     pub volume: VolumeStep,
-    /// The opening view, with which a new surface begins.
+    /// The opening view, with which a new surface begins. Resolved once the volume is open.
     view: View,
     pub phase: OpeningPhase,
     /// Progress of the opening, until the volume is open.
     pub progress: Option<watch::Receiver<OpeningProgress>>,
+    /// Name of the device; empty until the volume is open.
     pub device: String,
     /// Whether the device is this machine's processors, which the pool needs too.
     pub shares_processors: bool,
     /// Surfaces, indexed by their numbers.
     surfaces: [Option<SurfaceSession>; MAX_SURFACES as usize],
-    /// The connection's budget, once an edit has named one.
-    named: Option<NamedBudget>,
+    /// The connection's budget, and the edit that has set it.
+    budget_edit: Option<BudgetEdit>,
     /// The time step that the client has requested, until it comes into force.
     pub stepping: Option<PendingStep>,
     /// The time step that the client is expected to request next, until it is read ahead.
     pub expected: Option<u32>,
     /// Since when the client shows a time step whose description it does not have.
     pub undescribed_since: Option<Instant>,
-    /// Marks the volume as in use, and tells when it is removed.
+    /// Marks the volume as in use, and notifies when it is removed.
     pub lease: Lease,
     /// Keeps the step's samples on the device while others are read ahead.
     pub step_guard: OpenStepGuard,
-    /// Token of the work for this time step.
+    /// Cancels the work for this time step.
     pub step_token: CancellationToken,
+    /// Cancels `step_token` when another step comes into force.
     pub _cancel_step: DropGuard,
+    /// Cancels all work for the volume.
     pub token: CancellationToken,
     /// Cancels `token`, and with it the job that opens the volume, when another one is opened.
     _cancel: DropGuard,
@@ -106,7 +110,7 @@ impl OpenVolume {
             device: String::new(),
             shares_processors: false,
             surfaces,
-            named: None,
+            budget_edit: None,
             stepping: None,
             expected: None,
             undescribed_since: None,
@@ -119,35 +123,49 @@ impl OpenVolume {
         }
     }
 
-    /// Records that the volume is open, with its resolved opening view. Values that were edited meanwhile stay; the others are taken from
-    /// this view, which `opened` states. Edits that need resolving are held back.
-    pub(super) fn opened(&mut self, view: View, edits: u64) {
+    /// Records that the volume is open. `view`: the resolved opening view, which the message `opened` contains; `edits`: number of the
+    /// connection's last edit.
+    ///
+    /// Values that were edited meanwhile stay; the others are taken from the opening view. Edits that need resolving are held back.
+    pub(super) fn on_opened(&mut self, view: View, edits: u64) {
         (self.phase, self.progress) = (OpeningPhase::Open, None);
-        let opening = std::mem::replace(&mut self.view, view);
-        let has_own_range = opening.feature_range.is_none();
-        let opening_feature = (opening.feature, opening.field);
+        let unresolved = std::mem::replace(&mut self.view, view);
         for number in 0..MAX_SURFACES {
-            let (begins, iso, range) = (self.view.clone(), self.view.iso, self.view.feature_range);
-            let Some(surface) = self.surface_mut(number) else {
-                continue;
-            };
-            surface.view.iso = surface.view.iso.or(iso);
-            let feature = (surface.view.feature.clone(), surface.view.field.clone());
-            if has_own_range && feature == opening_feature {
-                surface.view.feature_range = surface.view.feature_range.or(range);
+            self.fill_from_opening_view(number, &unresolved);
+            self.hold_back_early_edit(number, edits);
+        }
+    }
+
+    /// Sets the values of a surface that no edit has set. `unresolved`: the opening view before it was resolved.
+    fn fill_from_opening_view(&mut self, number: u8, unresolved: &View) {
+        let (iso, range) = (self.view.iso, self.view.feature_range);
+        let Some(surface) = self.surface_mut(number) else {
+            return;
+        };
+        surface.view.iso = surface.view.iso.or(iso);
+        let is_same_feature = surface.view.feature == unresolved.feature && surface.view.field == unresolved.field;
+        // A range that was resolved is valid for the feature of the opening view alone.
+        if unresolved.feature_range.is_none() && is_same_feature {
+            surface.view.feature_range = surface.view.feature_range.or(range);
+        }
+    }
+
+    /// If an edit has changed a surface before the volume was open, and its view must be resolved: holds it back, with the opening view in
+    /// force until then.
+    fn hold_back_early_edit(&mut self, number: u8, edits: u64) {
+        let opening_view = self.view.clone();
+        let Some(surface) = self.surface_mut(number).filter(|surface| surface.edit_pending) else {
+            return;
+        };
+        let budget = surface.view.budget;
+        let edited = std::mem::replace(&mut surface.view, View { budget, ..opening_view });
+        if self.has_to_resolve(number, &edited) {
+            self.hold_back(number, edited, None, edits, None);
+            if let Some(surface) = self.surface_mut(number) {
+                (surface.edit_pending, surface.edited) = (false, 0);
             }
-            if surface.edit_pending {
-                let budget = surface.view.budget;
-                let edited = std::mem::replace(&mut surface.view, View { budget, ..begins });
-                if self.has_to_resolve(number, &edited) {
-                    self.hold_back(number, edited, None, edits, None);
-                    if let Some(surface) = self.surface_mut(number) {
-                        (surface.edit_pending, surface.edited) = (false, 0);
-                    }
-                } else if let Some(surface) = self.surface_mut(number) {
-                    surface.view = edited;
-                }
-            }
+        } else if let Some(surface) = self.surface_mut(number) {
+            surface.view = edited;
         }
     }
 
@@ -181,7 +199,7 @@ impl OpenVolume {
     }
 
     /// Returns the surface whose generation has this number.
-    pub(super) fn of_generation(&mut self, number: u32) -> Option<(u8, &mut SurfaceSession)> {
+    pub(super) fn surface_of_generation(&mut self, number: u32) -> Option<(u8, &mut SurfaceSession)> {
         self.surfaces_mut().find(|(_, surface)| {
             surface
                 .generation()
@@ -190,7 +208,7 @@ impl OpenVolume {
     }
 
     /// Returns the surface that rests after the generation of this number.
-    pub(super) fn of_rest(&mut self, number: u32) -> Option<(u8, &mut SurfaceSession)> {
+    pub(super) fn surface_at_rest(&mut self, number: u32) -> Option<(u8, &mut SurfaceSession)> {
         self.surfaces_mut()
             .find(|(_, surface)| surface.rest().is_some_and(|rest| rest.generation == number))
     }
@@ -228,32 +246,33 @@ impl OpenVolume {
         view
     }
 
-    /// Sets the view of a surface that edits have changed. `named`: also sets the connection's budget, unless a later edit has changed it.
-    pub(super) fn set_view(&mut self, number: u8, mut view: View, named: Option<NamedBudget>) {
-        if let Some(named) = named {
-            let newest = self.name_budget(number, named);
+    /// Sets the view of a surface that edits have changed. `budget_edit`: also sets the connection's budget,
+    /// unless a later edit has changed it.
+    pub(super) fn set_view(&mut self, number: u8, mut view: View, budget_edit: Option<BudgetEdit>) {
+        if let Some(budget_edit) = budget_edit {
+            let newest = self.share_budget(number, budget_edit);
             view.budget = view.budget.and(Some(newest.budget));
         }
         let surface = self.surface_or_new(number, view.clone());
         surface.view = view;
     }
 
-    /// Gives the other surfaces the budget that an edit of this surface has named, unless a later edit has named another budget. Returns
-    /// the latest budget.
-    fn name_budget(&mut self, number: u8, named: NamedBudget) -> NamedBudget {
-        if let Some(newer) = self.named.filter(|newer| newer.edit > named.edit) {
+    /// Gives the other surfaces the budget that an edit of this surface has set, unless a later edit has set another one. Returns the
+    /// latest budget.
+    fn share_budget(&mut self, number: u8, budget_edit: BudgetEdit) -> BudgetEdit {
+        if let Some(newer) = self.budget_edit.filter(|newer| newer.edit > budget_edit.edit) {
             return newer;
         }
-        self.named = Some(named);
+        self.budget_edit = Some(budget_edit);
         for (_, other) in self.surfaces_mut().filter(|(other, _)| *other != number) {
-            other.view.budget = other.view.budget.and(Some(named.budget));
+            other.view.budget = other.view.budget.and(Some(budget_edit.budget));
             if let Some(pending) = &mut other.pending
-                && pending.named.is_none_or(|newer| newer.edit < named.edit)
+                && pending.budget_edit.is_none_or(|newer| newer.edit < budget_edit.edit)
             {
-                pending.view.budget = pending.view.budget.and(Some(named.budget));
+                pending.view.budget = pending.view.budget.and(Some(budget_edit.budget));
             }
         }
-        named
+        budget_edit
     }
 
     /// Returns a surface; creates it with `view` if it does not exist yet.
@@ -266,19 +285,19 @@ impl OpenVolume {
         &self.view
     }
 
-    /// Removes a surface at the request of its user. The other surfaces keep a budget that one of its edits has named, even if that edit
+    /// Removes a surface at the request of the user. The other surfaces keep a budget that one of its edits has set, even if that edit
     /// is still being checked.
-    pub(super) fn remove_at_wish(&mut self, number: u8) {
+    pub(super) fn remove_by_user(&mut self, number: u8) {
         let fields = self.volume.dataset().field_names();
         let pending = self.surface(number).and_then(|surface| surface.pending.as_ref());
-        let named = pending.and_then(|pending| pending.last_named(&fields));
-        if let Some(named) = named {
-            self.name_budget(number, named);
+        let budget_edit = pending.and_then(|pending| pending.last_budget_edit(&fields));
+        if let Some(budget_edit) = budget_edit {
+            self.share_budget(number, budget_edit);
         }
         self.remove(number);
     }
 
-    /// Drops the state of a surface.
+    /// Drops the state of a surface. Its work is cancelled.
     pub(super) fn remove(&mut self, number: u8) {
         self.surfaces[usize::from(number)] = None;
     }

@@ -1,8 +1,8 @@
-//! Size of a step, chosen so that it arrives within the time that a viewer should wait. It follows from the measured speeds of device and
-//! pool, and of the line.
+//! Size of a step, chosen so that the step arrives within [`StepTimes`]. It follows from two measured speeds: that at which device and pool
+//! make triangles, and that of the line.
 //!
-//! Every step ends with a ping. The client's pong confirms that the whole step has arrived. Without it the server could not know: on a slow
-//! line, buffers of the operating system hold bytes for seconds.
+//! Every step ends with a ping. The client's pong confirms that the whole step has arrived. The time at which the socket accepts the bytes
+//! does not: on a slow line, buffers of the operating system hold them for seconds.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -33,20 +33,20 @@ impl Default for StepTimes {
     }
 }
 
-/// Triangles that are meshed and encoded in a millisecond, assumed until that is measured: the speed of two processors.
+/// Triangles that are meshed and encoded in a millisecond, until the speed is measured: that of two processors.
 const TRIANGLES_PER_MS: f64 = 3000.0;
 
 /// Minimum triangles of a step whose time is measured: smaller steps spend most of their time on launches.
 const MEASURED_TRIANGLES: u64 = 20_000;
-/// Minimum bytes of a step whose time on the line is measured: smaller ones show mostly the latency. A step that takes at least [`LONG_MS`]
-/// is measured too.
+/// Minimum bytes of a step whose time on the line is measured: the time of smaller ones is mostly latency.
 const MEASURED_BYTES: u64 = 16 << 10;
-const LONG_MS: f64 = 5.0;
+/// Minimum milliseconds on the line from which on a step of any size is measured.
+const MEASURED_MS: f64 = 5.0;
 
-/// Weight of the latest measurement in the running mean, against those before.
-const LATEST: f64 = 0.5;
+/// Weight of the latest measurement in the exponential moving average of a speed.
+const LATEST_WEIGHT: f64 = 0.5;
 
-/// The smallest step: a prefix of the coarsest level is hardly larger.
+/// Minimum triangles of a step: a prefix of the coarsest level has hardly more.
 const MIN_TRIANGLES: f64 = 1000.0;
 
 /// Maximum number of steps on the line: one that is arriving and one behind it, so that the line is never idle.
@@ -57,6 +57,7 @@ const MAX_ON_UNKNOWN_LINE: usize = 1;
 /// wait.
 const MAX_PONG_WAIT: Duration = Duration::from_secs(2);
 
+/// A step that was sent, and whose pong has not come.
 struct StepOnLine {
     number: u32,
     bytes: u64,
@@ -72,8 +73,8 @@ pub(super) struct Pace {
     bytes_per_ms: f64,
     /// Steps whose pong is awaited, the oldest first.
     on_line: VecDeque<StepOnLine>,
-    /// Number of the next step.
-    next: u32,
+    /// Number of the last step that was sent.
+    last_number: u32,
     last_pong: Option<Instant>,
 }
 
@@ -84,22 +85,23 @@ impl Pace {
             triangles_per_ms: TRIANGLES_PER_MS,
             bytes_per_ms: f64::INFINITY,
             on_line: VecDeque::new(),
-            next: 0,
+            last_number: 0,
             last_pong: None,
         }
     }
 
-    /// Returns the triangles of the first step of a new surface.
-    pub(super) fn fresh(&self) -> u64 {
-        self.within(self.times.fresh)
+    /// Returns the number of triangles that suits the first step of a new surface.
+    pub(super) fn fresh_triangles(&self) -> u64 {
+        self.triangles_within(self.times.fresh)
     }
 
-    /// Returns the triangles of a step of a surface that changes.
-    pub(super) fn changing(&self, is_first: bool) -> u64 {
-        self.within(if is_first { self.times.first } else { self.times.next })
+    /// Returns the number of triangles that suits a step of a surface that changes. `is_first`: the first step after the edit.
+    pub(super) fn step_triangles(&self, is_first: bool) -> u64 {
+        self.triangles_within(if is_first { self.times.first } else { self.times.next })
     }
 
-    fn within(&self, time: Duration) -> u64 {
+    /// Returns how many triangles can be meshed and encoded in this time, at least [`MIN_TRIANGLES`].
+    fn triangles_within(&self, time: Duration) -> u64 {
         (self.triangles_per_ms * time.as_secs_f64() * 1e3).max(MIN_TRIANGLES) as u64
     }
 
@@ -108,25 +110,25 @@ impl Pace {
         self.times.line
     }
 
-    /// Returns the maximum bytes of a step.
-    pub(super) fn bytes(&self) -> u64 {
+    /// Returns the maximum bytes of a step, by the measured speed of the line; `u64::MAX` before the first measurement.
+    pub(super) fn max_bytes(&self) -> u64 {
         (self.bytes_per_ms * self.times.line.as_secs_f64() * 1e3) as u64
     }
 
     /// Records the time in which a step of this number of triangles was meshed and encoded.
-    pub(super) fn made(&mut self, triangles: u64, time: Duration) {
+    pub(super) fn record_made(&mut self, triangles: u64, time: Duration) {
         if triangles >= MEASURED_TRIANGLES {
             let ms = (time.as_secs_f64() * 1e3).max(0.1);
             self.triangles_per_ms = average(self.triangles_per_ms, triangles as f64 / ms);
         }
     }
 
-    /// Records that the writer took the last frame of a step; `first`: when it took the first one. Returns the number of the ping to send
-    /// after the step.
-    pub(super) fn handed_over(&mut self, bytes: u64, first: Instant) -> u32 {
-        self.next = self.next.wrapping_add(1);
-        let (number, last) = (self.next, Instant::now());
-        // Drop steps whose pong will not come any more.
+    /// Records that the writer has taken the last frame of a step of `bytes` bytes; `first`: when it took the first one. Returns the number
+    /// of the ping to send after the step.
+    pub(super) fn record_sent(&mut self, bytes: u64, first: Instant) -> u32 {
+        self.last_number = self.last_number.wrapping_add(1);
+        let (number, last) = (self.last_number, Instant::now());
+        // Drop steps whose pong is overdue.
         self.on_line.retain(|step| step.last.elapsed() < MAX_PONG_WAIT);
         self.on_line.push_back(StepOnLine {
             number,
@@ -165,8 +167,8 @@ impl Pace {
         }
     }
 
-    /// Handles a pong. Ignores one that belongs to no step's ping.
-    pub(super) fn received(&mut self, number: u32) {
+    /// Handles a pong: measures the line with all steps up to this one. Ignores a pong whose number belongs to no step.
+    pub(super) fn on_pong(&mut self, number: u32) {
         let Some(at) = self.on_line.iter().position(|step| step.number == number) else {
             return;
         };
@@ -177,15 +179,16 @@ impl Pace {
         let began = self.last_pong.map_or(first, |last| last.max(first));
         self.last_pong = Some(now);
         let ms = ((now - began).as_secs_f64() * 1e3).max(0.1);
-        if bytes >= MEASURED_BYTES || ms >= LONG_MS {
+        if bytes >= MEASURED_BYTES || ms >= MEASURED_MS {
             self.bytes_per_ms = average(self.bytes_per_ms, bytes as f64 / ms);
         }
     }
 }
 
+/// Returns the moving average after a further measurement. If there was none before (infinity), the measurement itself.
 fn average(before: f64, latest: f64) -> f64 {
     if before.is_finite() {
-        before + LATEST * (latest - before)
+        before + LATEST_WEIGHT * (latest - before)
     } else {
         latest
     }
@@ -198,33 +201,33 @@ mod tests {
     #[test]
     fn a_slow_line_makes_steps_small_and_a_fast_one_lets_them_grow() {
         let mut pace = Pace::new(StepTimes::default());
-        assert_eq!(pace.bytes(), u64::MAX, "not known yet");
-        let ping = pace.handed_over(100_000, Instant::now());
+        assert_eq!(pace.max_bytes(), u64::MAX, "not known yet");
+        let ping = pace.record_sent(100_000, Instant::now());
         std::thread::sleep(Duration::from_millis(50));
-        pace.received(ping + 1);
-        assert_eq!(pace.bytes(), u64::MAX, "a pong of no ping");
-        pace.received(ping);
-        let slow = pace.bytes();
+        pace.on_pong(ping + 1);
+        assert_eq!(pace.max_bytes(), u64::MAX, "a pong of no ping");
+        pace.on_pong(ping);
+        let slow = pace.max_bytes();
         assert!(slow <= 800_000, "2 MB/s at most: {slow}");
         for _ in 0..20 {
-            let ping = pace.handed_over(10_000_000, Instant::now());
-            pace.received(ping);
+            let ping = pace.record_sent(10_000_000, Instant::now());
+            pace.on_pong(ping);
         }
-        assert!(pace.bytes() > slow);
+        assert!(pace.max_bytes() > slow);
     }
 
     #[test]
     fn two_steps_may_be_on_a_line_whose_speed_is_known() {
         let mut pace = Pace::new(StepTimes::default());
-        let first = pace.handed_over(1, Instant::now());
+        let first = pace.record_sent(1, Instant::now());
         assert!(pace.is_line_full() && !pace.is_line_known());
-        pace.received(first);
+        pace.on_pong(first);
         assert!(pace.is_line_known());
-        let second = pace.handed_over(1, Instant::now());
+        let second = pace.record_sent(1, Instant::now());
         assert!(!pace.is_line_full());
-        pace.handed_over(1, Instant::now());
+        pace.record_sent(1, Instant::now());
         assert!(pace.is_line_full());
-        pace.received(second);
+        pace.on_pong(second);
         assert!(!pace.is_line_full());
     }
 
@@ -232,13 +235,20 @@ mod tests {
     fn steps_follow_the_speed_at_which_they_are_made() {
         let mut pace = Pace::new(StepTimes::default());
         for _ in 0..10 {
-            pace.made(1_000_000, Duration::from_millis(10));
+            pace.record_made(1_000_000, Duration::from_millis(10));
         }
-        assert!(pace.changing(false) > 10_000_000, "{}", pace.changing(false));
-        assert!(pace.fresh() < pace.changing(true) && pace.changing(true) < pace.changing(false));
-        pace.made(500, Duration::from_secs(1));
         assert!(
-            pace.changing(false) > 10_000_000,
+            pace.step_triangles(false) > 10_000_000,
+            "{}",
+            pace.step_triangles(false)
+        );
+        assert!(
+            pace.fresh_triangles() < pace.step_triangles(true)
+                && pace.step_triangles(true) < pace.step_triangles(false)
+        );
+        pace.record_made(500, Duration::from_secs(1));
+        assert!(
+            pace.step_triangles(false) > 10_000_000,
             "a small step says nothing of the speed"
         );
     }

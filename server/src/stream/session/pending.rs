@@ -1,41 +1,41 @@
 //! Edits and time steps that have not come into force.
 
 use isopeel_view::quality::Budget;
-use isopeel_view::{Edit, View};
+use isopeel_view::{Edit, FeatureName, View};
 use isopeel_volumes::VolumeStep;
 
-/// Maximum number of edits of a surface that are kept one by one while they wait, so that an invalid one can be rejected without the
+/// Maximum number of edits of a surface that are stored one by one while they wait, so that an invalid one can be rejected without the
 /// others.
-pub(super) const MAX_KEPT_EDITS: usize = 64;
+pub(super) const MAX_WAITING_EDITS: usize = 64;
 
-/// An edit that waits.
+/// An edit that has not come into force yet.
 #[derive(Clone)]
-pub(super) struct KeptEdit {
+pub(super) struct WaitingEdit {
     pub edit: Edit,
     /// The time step that was in force, or on its way, when it came.
     pub at: VolumeStep,
     /// Place among the edits of the connection, from 1.
     pub number: u64,
     /// Whether the surface is made when the edit comes into force: not after a `cancel`.
-    pub is_made: bool,
+    pub makes_surface: bool,
 }
 
-/// A budget that an edit has named, for all surfaces that have one.
+/// The budget that an edit has set, for all surfaces that have one.
 #[derive(Clone, Copy)]
-pub(super) struct NamedBudget {
+pub(super) struct BudgetEdit {
     pub budget: Budget,
     /// Number of the edit: the latest one wins, whichever comes into force first.
     pub edit: u64,
 }
 
-impl NamedBudget {
-    /// Returns the budget that an edit has named; `view` is the view after the edit.
-    pub(super) fn of(kept: &KeptEdit, view: &View) -> Option<Self> {
-        let is_named = kept.edit.triangles.is_some() || kept.edit.bytes.is_some();
-        let budget = view.budget.filter(|_| is_named)?;
+impl BudgetEdit {
+    /// Returns the budget that an edit has set; `view` is the view after the edit.
+    pub(super) fn new(waiting: &WaitingEdit, view: &View) -> Option<Self> {
+        let has_budget = waiting.edit.triangles.is_some() || waiting.edit.bytes.is_some();
+        let budget = view.budget.filter(|_| has_budget)?;
         Some(Self {
             budget,
-            edit: kept.number,
+            edit: waiting.number,
         })
     }
 }
@@ -47,19 +47,19 @@ pub(super) struct PendingView {
     pub view: View,
     /// The time step from which the values are resolved that the view leaves open.
     pub at: VolumeStep,
-    /// The last budget that one of the edits has named. A later edit may have removed the surface's budget.
-    pub named: Option<NamedBudget>,
+    /// The last budget that one of the edits has set. A later edit may have removed the surface's budget.
+    pub budget_edit: Option<BudgetEdit>,
     /// Number of the last edit.
     pub edit: u64,
     /// Whether the surface is made when the view comes into force: not after a `cancel`.
-    pub is_made: bool,
+    pub makes_surface: bool,
     /// Whether the query to the device has failed; the next edit retries it.
     pub is_paused: bool,
-    /// The edits that led to the view from the one in force; empty if there were more than [`MAX_KEPT_EDITS`].
-    pub edits: Vec<KeptEdit>,
+    /// The edits that led to the view from the one in force; empty if there were more than [`MAX_WAITING_EDITS`].
+    pub edits: Vec<WaitingEdit>,
     /// Edits that are applied one by one after this view has come into force or was found to be invalid. They are left from edits that were
     /// resolved together.
-    pub queue: Vec<KeptEdit>,
+    pub queue: Vec<WaitingEdit>,
 }
 
 /// A time step that has not come into force.
@@ -76,21 +76,29 @@ impl PendingView {
         self.with_queue(fields).0
     }
 
-    /// Returns the last budget that a waiting edit has named.
-    pub(super) fn last_named(&self, fields: &[&str]) -> Option<NamedBudget> {
+    /// Returns the last budget that a waiting edit has set.
+    pub(super) fn last_budget_edit(&self, fields: &[&str]) -> Option<BudgetEdit> {
         self.with_queue(fields).1
     }
 
-    /// Returns the view and the last named budget after all waiting edits. An invalid edit among them changes nothing.
-    fn with_queue(&self, fields: &[&str]) -> (View, Option<NamedBudget>) {
-        let (mut view, mut named) = (self.view.clone(), self.named);
-        for kept in &self.queue {
-            if let Ok(edited) = view.apply(&kept.edit, fields) {
-                named = NamedBudget::of(kept, &edited).or(named);
+    /// Returns the view and the last budget after all waiting edits. An invalid edit among them changes nothing.
+    fn with_queue(&self, fields: &[&str]) -> (View, Option<BudgetEdit>) {
+        let (mut view, mut budget_edit) = (self.view.clone(), self.budget_edit);
+        for waiting in &self.queue {
+            if let Ok(edited) = view.apply(&waiting.edit, fields) {
+                budget_edit = BudgetEdit::new(waiting, &edited).or(budget_edit);
                 view = edited;
             }
         }
-        (view, named)
+        (view, budget_edit)
+    }
+
+    /// Whether the range of the feature is still to be resolved, and `view` has the same feature.
+    pub(super) fn leaves_range_open(&self, view: &View) -> bool {
+        // A derived feature is one of the field.
+        let is_derived = matches!(view.feature, FeatureName::Derived(_));
+        let is_same_feature = self.view.feature == view.feature && (!is_derived || self.view.field == view.field);
+        self.view.feature_range.is_none() && is_same_feature
     }
 
     /// Returns the number of the first waiting edit, or of the last one if there were too many to keep.
@@ -100,9 +108,9 @@ impl PendingView {
 
     /// Cancels the making of the surface: the view still comes into force, but no surface of it is made.
     pub(super) fn cancel(&mut self) {
-        self.is_made = false;
-        let kept = self.edits.iter_mut().chain(&mut self.queue);
-        kept.for_each(|kept| kept.is_made = false);
+        self.makes_surface = false;
+        let edits = self.edits.iter_mut().chain(&mut self.queue);
+        edits.for_each(|waiting| waiting.makes_surface = false);
     }
 
     /// Whether the values that were resolved for `asked` are valid for this view too.

@@ -1,7 +1,10 @@
-//! Questions of a viewer about a surface that it is shown. Only the newest question of each kind waits. One question is answered at a time,
-//! and only when no generation of any surface is running: questions wait for edits, and edits never wait for questions. If an edit
-//! overtakes a question, the question is repeated for the edit's surface. Work at rest pauses for an answer. An annotation (distances of
-//! all vertices) takes long, so it comes after the work at rest, and an edit drops it.
+//! Questions of a viewer about one of its surfaces.
+//!
+//! Only the newest question of each kind waits. One question is answered at a time, and only when no generation of any surface is running:
+//! questions wait for edits, and edits never wait for questions. An edit cancels the running question, which is repeated for the new
+//! surface. Work at rest pauses for an answer.
+//!
+//! An annotation (distances of all vertices) takes long, so it comes after the work at rest, and an edit drops it.
 
 use std::sync::Arc;
 
@@ -21,17 +24,17 @@ use super::outbox::Frame;
 use super::shown::HeldSurface;
 use crate::wire::messages::{Annotation, ServerMessage};
 
-/// A finished question: its number, and the answer.
-pub(super) type Answered = (u32, Result<Found, WorkError>);
+/// A finished question: its number and its result.
+pub(super) type Answered = (u32, Result<QuestionResult, WorkError>);
 
-/// Result of a question.
-pub(super) enum Found {
+/// Result of a question, ready to be sent.
+pub(super) enum QuestionResult {
     Answer(Answer),
     /// Chunks of an annotation.
     Chunks(Vec<Bytes>),
 }
 
-/// A question that the device is answering. Dropping it cancels the job.
+/// A question that the device is answering. Dropping this cancels the job.
 struct Running {
     number: u32,
     /// The surface that the question is about.
@@ -44,11 +47,11 @@ struct Running {
 /// A viewer's questions.
 #[derive(Default)]
 pub(super) struct Questions {
-    /// The newest waiting question of each kind with its surface, in order of priority ([`place`]).
+    /// The newest waiting question of each kind with its surface, in order of priority ([`priority`]).
     waiting: [Option<(u8, Question)>; 4],
     running: Option<Running>,
-    /// Questions that were asked so far.
-    asked: u32,
+    /// Number of the last question that was started.
+    last_number: u32,
     /// The job of the running question. A cancelled job must also return before the next question is queued.
     pub job: Option<BoxFuture<Answered>>,
 }
@@ -57,15 +60,15 @@ pub(super) struct Questions {
 const ANNOTATIONS: usize = 3;
 
 /// Returns the question to the device for an annotation.
-pub(super) fn annotate(annotation: Annotation) -> Question {
+pub(super) fn annotation_question(annotation: Annotation) -> Question {
     Question::VertexErrors(match annotation {
         Annotation::Error => DistanceOf::Vertex,
         Annotation::ErrorAround => DistanceOf::Around,
     })
 }
 
-/// Returns the priority of a kind: questions that follow the pointer come first.
-fn place(question: Question) -> usize {
+/// Returns the priority of a question's kind, which is its place in [`Questions::waiting`]: those that follow the pointer come first.
+fn priority(question: Question) -> usize {
     match question {
         Question::Probe(_) => 0,
         Question::Distribution(_) => 1,
@@ -76,22 +79,22 @@ fn place(question: Question) -> usize {
 
 impl Questions {
     /// Queues a question in place of a waiting one of its kind.
-    fn put(&mut self, surface: u8, question: Question) {
-        self.waiting[place(question)] = Some((surface, question));
+    fn enqueue(&mut self, surface: u8, question: Question) {
+        self.waiting[priority(question)] = Some((surface, question));
     }
 
-    /// Takes the next question. An annotation, which takes long, is taken only if all surfaces are idle (`rests`).
-    fn take(&mut self, rests: bool) -> Option<(u8, Question)> {
-        let end = if rests { self.waiting.len() } else { ANNOTATIONS };
+    /// Takes the waiting question of the highest priority. An annotation, which takes long, is taken only if all surfaces are idle.
+    fn take_next(&mut self, all_idle: bool) -> Option<(u8, Question)> {
+        let end = if all_idle { self.waiting.len() } else { ANNOTATIONS };
         self.waiting[..end].iter_mut().find_map(Option::take)
     }
 
     /// Cancels the running question because an edit goes first. It is repeated afterwards, unless a newer one of its kind waits. An
     /// annotation is dropped, because it belongs to the surface that was shown before the edit.
-    pub(super) fn overtaken(&mut self) {
+    pub(super) fn cancel_for_edit(&mut self) {
         self.drop_annotation();
         if let Some(Running { surface, question, .. }) = self.running.take() {
-            self.waiting[place(question)].get_or_insert((surface, question));
+            self.waiting[priority(question)].get_or_insert((surface, question));
         }
     }
 
@@ -102,11 +105,11 @@ impl Questions {
             .take_if(|running| matches!(running.question, Question::VertexErrors(_)));
     }
 
-    /// Drops the queries on a surface that was removed.
-    pub(super) fn removed(&mut self, surface: u8) {
+    /// Drops the questions about a surface that was removed.
+    pub(super) fn drop_surface(&mut self, surface: u8) {
         self.drop_annotation();
         for waiting in &mut self.waiting {
-            waiting.take_if(|(of, _)| *of == surface);
+            waiting.take_if(|(about, _)| *about == surface);
         }
         self.running.take_if(|running| running.surface == surface);
     }
@@ -118,18 +121,19 @@ impl Questions {
     }
 
     /// Takes the running question of this number; `None` if it was cancelled meanwhile.
-    fn finish(&mut self, number: u32) -> Option<Running> {
+    fn take_running(&mut self, number: u32) -> Option<Running> {
         self.running.take_if(|running| running.number == number)
     }
 }
 
 impl<B: Backend> Session<B> {
+    /// Handles a question of the client.
     pub(super) fn on_question(&mut self, surface: u32, question: Question) {
         if let Err(why) = question.check() {
             return self.send_error("bad-question", why, true);
         }
         if let Some(surface) = self.find_surface(surface) {
-            self.questions.put(surface, question);
+            self.questions.enqueue(surface, question);
         }
     }
 
@@ -142,15 +146,21 @@ impl<B: Backend> Session<B> {
             return;
         }
         // Take no annotation while another one's chunks wait in the outbox.
-        let rests = self.device.is_none()
+        let all_idle = self.device.is_none()
             && self.outbox.surface_bytes() == 0
             && opened.surfaces().all(|(_, surface)| surface.rest().is_none());
-        let Some((surface, question)) = self.questions.take(rests) else {
+        let Some((surface, question)) = self.questions.take_next(all_idle) else {
             return;
         };
+        self.start_question(surface, question);
+    }
+
+    /// Starts the job that answers a question about a surface.
+    fn start_question(&mut self, surface: u8, question: Question) {
+        let Some(opened) = &self.opened else { return };
         let Some(session) = opened.surface(surface) else { return };
-        self.questions.asked += 1;
-        let (number, token) = (self.questions.asked, CancellationToken::new());
+        self.questions.last_number += 1;
+        let (number, token) = (self.questions.last_number, CancellationToken::new());
         let shown = session
             .shown
             .clone()
@@ -163,26 +173,27 @@ impl<B: Backend> Session<B> {
             _cancel: token.clone().drop_guard(),
         });
         let (backend, volume, held) = (self.backend.clone(), opened.volume.clone(), Arc::clone(&session.held));
-        let chunks = PrefixId {
+        let chunk_id = PrefixId {
             kind: ChunkKind::Error,
             ..PrefixId::cut(surface, session.shown_generation, 0)
         };
         self.questions.job = Some(Box::pin(async move {
             let found = match backend.answer(&volume, shown.as_ref(), question, &token).await {
-                Ok(Answer::VertexErrors(errors)) => match encode_errors(errors, held, chunks, token).await {
-                    Ok(chunks) => Ok(Found::Chunks(chunks)),
+                Ok(Answer::VertexErrors(errors)) => match encode_errors(errors, held, chunk_id, token).await {
+                    Ok(chunks) => Ok(QuestionResult::Chunks(chunks)),
                     Err(PrefixError::Cancelled) => Err(WorkError::Cancelled),
                     Err(error) => {
                         tracing::error!(%error, "errors of vertices could not be encoded");
                         Err(WorkError::Stopped)
                     }
                 },
-                answer => answer.map(Found::Answer),
+                answer => answer.map(QuestionResult::Answer),
             };
             (number, found)
         }));
     }
 
+    /// Sends the result of a question. If the question was cancelled meanwhile, drops it.
     pub(super) fn on_answer(&mut self, (number, result): Answered) {
         self.questions.job = None;
         let Some(Running {
@@ -190,24 +201,25 @@ impl<B: Backend> Session<B> {
             generation,
             question,
             ..
-        }) = self.questions.finish(number)
+        }) = self.questions.take_running(number)
         else {
             return;
         };
         let message = match result {
-            Ok(Found::Chunks(chunks)) => return self.send_annotation(surface, generation, question, chunks),
-            Ok(Found::Answer(Answer::VertexErrors(_))) => return,
-            Ok(Found::Answer(Answer::Probe(probe))) => ServerMessage::Probed {
+            Ok(QuestionResult::Chunks(chunks)) => return self.send_annotation(surface, generation, question, chunks),
+            // The job has encoded errors of vertices as chunks.
+            Ok(QuestionResult::Answer(Answer::VertexErrors(_))) => return,
+            Ok(QuestionResult::Answer(Answer::Probe(probe))) => ServerMessage::Probed {
                 surface,
                 generation,
                 probe,
             },
-            Ok(Found::Answer(Answer::Distribution(distribution))) => ServerMessage::Distribution {
+            Ok(QuestionResult::Answer(Answer::Distribution(distribution))) => ServerMessage::Distribution {
                 surface,
                 generation,
                 distribution,
             },
-            Ok(Found::Answer(Answer::Curve(curve))) => ServerMessage::Curve {
+            Ok(QuestionResult::Answer(Answer::Curve(curve))) => ServerMessage::Curve {
                 surface,
                 generation,
                 curve,
@@ -218,6 +230,7 @@ impl<B: Backend> Session<B> {
         self.send(&message);
     }
 
+    /// Queues the message of an annotation, and its chunks behind it.
     fn send_annotation(&mut self, surface: u8, generation: u32, question: Question, chunks: Vec<Bytes>) {
         let message = ServerMessage::Annotated {
             surface,

@@ -1,13 +1,13 @@
 //! Resolves views before they come into force. A view is resolved if its isovalue and the range of its feature are numbers, and if the
 //! samples of its fields are loaded, including computed and masked ones. Until then the previous view stays in force and is shown. So an
-//! invalid edit changes nothing. Nor does a time step if one of the surfaces cannot be made of it.
+//! invalid edit changes nothing, and neither does a time step of which one of the surfaces cannot be made.
 //!
-//! Messages take effect in the order in which they came. Values that an edit leaves open are resolved for the time step that was pending
-//! when the edit came, or else the one in force, even if another step follows soon. An edit that needs no resolving comes into force at
-//! once.
+//! Messages take effect in the order in which they came. An edit that needs no resolving comes into force at once. Values that an edit
+//! leaves open are resolved for the time step that was pending when the edit came, or else for the one in force. A later time step does not
+//! change them.
 
 use isopeel_extraction::WorkError;
-use isopeel_view::{Edit, FeatureName, View};
+use isopeel_view::{Edit, View};
 use isopeel_volumes::{StepKey, VolumeStep};
 use tokio_util::sync::CancellationToken;
 
@@ -15,17 +15,17 @@ use super::super::backend::Backend;
 use super::Session;
 use super::jobs::BoxFuture;
 use super::open_volume::{OpenVolume, OpeningPhase};
-use super::pending::{KeptEdit, MAX_KEPT_EDITS, NamedBudget, PendingView};
+use super::pending::{BudgetEdit, MAX_WAITING_EDITS, PendingView, WaitingEdit};
 use super::surface::SurfaceSession;
 use crate::error::chain;
 use crate::metrics;
 use crate::wire::messages::ServerMessage;
 
-/// What the device has resolved.
+/// Result of resolving one view, or those of all surfaces for a time step.
 pub(super) enum Resolved {
     View {
         surface: u8,
-        asked: Box<PendingView>,
+        requested: Box<PendingView>,
         result: Result<View, WorkError>,
     },
     Step {
@@ -61,13 +61,13 @@ impl OpenVolume {
     }
 
     /// Removes the surfaces that are not in force yet, and returns their waiting edits in the order in which they came.
-    fn take_new_surfaces(&mut self) -> Vec<(u8, Vec<KeptEdit>)> {
+    fn take_new_surfaces(&mut self) -> Vec<(u8, Vec<WaitingEdit>)> {
         let new = self.surfaces().filter_map(|(number, surface)| {
             let pending = surface.pending.as_ref().filter(|pending| !pending.edits.is_empty())?;
             let edits = pending.edits.iter().chain(&pending.queue).cloned().collect();
             surface.is_new().then_some((number, edits))
         });
-        let mut new: Vec<(u8, Vec<KeptEdit>)> = new.collect();
+        let mut new: Vec<(u8, Vec<WaitingEdit>)> = new.collect();
         new.sort_by_key(|(_, edits)| edits[0].number);
         for (number, _) in &new {
             self.remove(*number);
@@ -78,62 +78,62 @@ impl OpenVolume {
     /// Returns the next view to resolve on its own: the one with the oldest waiting edit. Skips views of the pending time step, which wait
     /// for that step.
     fn next_pending(&self) -> Option<(u8, &PendingView)> {
-        let comes = self.stepping.as_ref().map(|stepping| stepping.volume.key());
+        let pending_step = self.stepping.as_ref().map(|stepping| stepping.volume.key());
         let pending = self.surfaces().filter_map(|(number, surface)| {
             let pending = surface.pending.as_ref().filter(|pending| !pending.is_paused)?;
-            (Some(pending.at.key()) != comes).then_some((number, pending))
+            (Some(pending.at.key()) != pending_step).then_some((number, pending))
         });
         pending.min_by_key(|(_, pending)| pending.first_edit())
     }
 }
 
 impl<B: Backend> Session<B> {
-    /// Handles an edit that leads to this view. The edit comes into force at once, or when the view is resolved.
-    pub(super) fn take_edit(&mut self, surface: u8, view: View, edit: &Edit) {
-        self.count_edit();
+    /// Handles an edit of a surface. `view`: the view after the edit, which comes into force at once or when it is resolved.
+    pub(super) fn accept_edit(&mut self, surface: u8, view: View, edit: &Edit) {
+        self.begin_edit();
         let Some(opened) = &mut self.opened else { return };
-        let kept = KeptEdit {
+        let waiting = WaitingEdit {
             edit: edit.clone(),
             at: opened.newest_step().clone(),
             number: self.edits,
-            is_made: true,
+            makes_surface: true,
         };
-        self.apply(surface, view, kept);
+        self.apply_edit(surface, view, waiting);
     }
 
-    /// As [`Session::take_edit`], for an edit that was kept until now.
-    fn apply(&mut self, surface: u8, view: View, kept: KeptEdit) {
+    /// As [`Session::accept_edit`], for an edit that was counted when it came.
+    fn apply_edit(&mut self, surface: u8, view: View, waiting: WaitingEdit) {
         let Some(opened) = &mut self.opened else { return };
-        let named = NamedBudget::of(&kept, &view);
+        let budget_edit = BudgetEdit::new(&waiting, &view);
         // Before the volume is open, nothing can be resolved.
         if opened.phase != OpeningPhase::Open {
-            return self.come_into_force(surface, view, named, self.edits, true);
+            return self.come_into_force(surface, view, budget_edit, self.edits, true);
         }
         let pending = opened.surface_mut(surface).and_then(|session| session.pending.as_mut());
-        // Waiting edits come into force with this one, so keep the budget that they have named.
-        let named = named.or(pending.as_ref().and_then(|pending| pending.named));
+        // Waiting edits come into force with this one, so keep the budget that they have set.
+        let budget_edit = budget_edit.or(pending.as_ref().and_then(|pending| pending.budget_edit));
         if let Some(pending) = pending.filter(|pending| !pending.queue.is_empty()) {
-            if pending.queue.len() < MAX_KEPT_EDITS {
-                pending.queue.push(kept);
+            if pending.queue.len() < MAX_WAITING_EDITS {
+                pending.queue.push(waiting);
             } else {
                 self.send_surface_error(surface, "busy", "too many edits wait for one that is checked".into());
             }
             return;
         }
         if !opened.has_to_resolve(surface, &view) && !opened.waits_for_budget(surface) {
-            return self.come_into_force(surface, view, named, self.edits, kept.is_made);
+            return self.come_into_force(surface, view, budget_edit, self.edits, waiting.makes_surface);
         }
-        opened.hold_back(surface, view, named, self.edits, Some(kept));
+        opened.hold_back(surface, view, budget_edit, self.edits, Some(waiting));
     }
 
-    /// Applies edits that were kept, one by one. The first edit that has to be resolved holds back those behind it.
-    fn apply_all(&mut self, surface: u8, edits: Vec<KeptEdit>) {
+    /// Applies edits one by one. The first one that has to be resolved holds back those behind it.
+    fn apply_edits(&mut self, surface: u8, edits: Vec<WaitingEdit>) {
         let mut edits = edits.into_iter();
-        while let Some(kept) = edits.next() {
+        while let Some(waiting) = edits.next() {
             let Some(opened) = &mut self.opened else { return };
             let fields = opened.volume.dataset().field_names();
-            match opened.edited_view_of(surface).apply(&kept.edit, &fields) {
-                Ok(view) => self.apply(surface, view, kept),
+            match opened.edited_view_of(surface).apply(&waiting.edit, &fields) {
+                Ok(view) => self.apply_edit(surface, view, waiting),
                 Err(error) => self.send_surface_error(surface, "bad-edit", error.to_string()),
             }
             let pending = self
@@ -147,33 +147,34 @@ impl<B: Backend> Session<B> {
         }
     }
 
-    /// Counts an edit, and lets it take precedence over questions and over work at rest.
-    pub(super) fn count_edit(&mut self) {
+    /// Numbers an edit that has come, and gives it precedence: cancels questions, drops annotations, and postpones work at rest.
+    pub(super) fn begin_edit(&mut self) {
         self.edits += 1;
-        self.questions.overtaken();
+        self.questions.cancel_for_edit();
         self.outbox.drop_annotations();
         if let Some(opened) = &mut self.opened {
             opened.postpone_rest();
         }
     }
 
-    /// Replaces the view in force.
+    /// Replaces the view in force of a surface. `edit`: number of the last edit that led to the view. `makes_surface`: whether a surface of
+    /// the view is made.
     pub(super) fn come_into_force(
         &mut self,
         surface: u8,
         view: View,
-        named: Option<NamedBudget>,
+        budget_edit: Option<BudgetEdit>,
         edit: u64,
-        is_made: bool,
+        makes_surface: bool,
     ) {
         let Some(opened) = &mut self.opened else { return };
-        opened.set_view(surface, view, named);
+        opened.set_view(surface, view, budget_edit);
         if let Some(session) = opened.surface_mut(surface) {
             session.edited = edit;
             (session.pending, session.failed, session.key) = (None, None, None);
         }
         self.change(surface);
-        if !is_made && let Some(session) = self.opened.as_mut().and_then(|opened| opened.surface_mut(surface)) {
+        if !makes_surface && let Some(session) = self.opened.as_mut().and_then(|opened| opened.surface_mut(surface)) {
             session.edit_pending = false;
         }
         if let Some(opened) = &mut self.opened {
@@ -200,78 +201,104 @@ impl<B: Backend> Session<B> {
         self.resolving = Some(job);
     }
 
+    /// Handles the result of [`Session::advance_resolving`].
     pub(super) fn on_resolved(&mut self, resolved: Resolved) {
         match resolved {
-            Resolved::View { surface, asked, result } => self.on_resolved_view(surface, &asked, result),
+            Resolved::View {
+                surface,
+                requested,
+                result,
+            } => self.on_resolved_view(surface, &requested, result),
             Resolved::Step { step, result } => self.on_resolved_step(&step, result),
         }
     }
 
-    fn on_resolved_view(&mut self, surface: u8, asked: &PendingView, result: Result<View, WorkError>) {
-        let Some(opened) = &mut self.opened else { return };
-        let here = opened.volume.clone();
-        let Some(session) = opened.surface_mut(surface) else {
-            return;
-        };
+    fn on_resolved_view(&mut self, surface: u8, requested: &PendingView, result: Result<View, WorkError>) {
+        let session = self.opened.as_mut().and_then(|opened| opened.surface_mut(surface));
+        let pending = session.and_then(|session| session.pending.as_mut());
         // A newer edit needs other values: drop this result and resolve that edit next.
-        let Some(pending) = session.pending.as_mut().filter(|pending| pending.resolves_like(asked)) else {
+        if !pending.is_some_and(|pending| pending.resolves_like(requested)) {
             return;
-        };
+        }
         match result {
-            Ok(resolved) => {
-                let PendingView {
-                    mut view,
-                    named,
-                    edit,
-                    is_made,
-                    queue,
-                    ..
-                } = pending.clone();
-                view.iso = view.iso.or(resolved.iso);
-                view.feature_range = view.feature_range.or(resolved.feature_range);
-                // The view was resolved for a time step that was overtaken. Its values are kept, but its samples must also be loaded for
-                // the step in force.
-                if pending.at.key() != here.key() {
-                    (pending.view, pending.at) = (view, here);
-                    return;
-                }
-                self.come_into_force(surface, view, named, edit, is_made);
-                self.apply_all(surface, queue);
-                self.lead_or_follow();
-            }
-            Err(error) if !error.rejects_view() && pending.at.key() != here.key() => {
-                tracing::debug!(error = chain(&error), "a time step that was overtaken gives no values");
-                pending.at = here;
-            }
-            Err(error) if !error.rejects_view() => {
-                pending.is_paused = true;
-                self.send_surface_error(surface, error.code(), error.public_message());
-            }
-            // Apply the edits one by one to find the invalid one.
-            Err(_) if pending.edits.len() > 1 => {
-                let edits = std::mem::take(&mut pending.edits);
-                session.pending = None;
-                self.apply_all(surface, edits);
-            }
-            Err(error) => {
-                tracing::debug!(error = chain(&error), "an edit does not come into force");
-                let queue = std::mem::take(&mut pending.queue);
-                session.pending = None;
-                if session.is_new() {
-                    opened.remove(surface);
-                }
-                let new = opened.take_new_surfaces();
-                self.send_surface_error(surface, error.code(), error.public_message());
-                self.apply_all(surface, queue);
-                // These surfaces may have begun with the budget of the invalid edit.
-                for (surface, edits) in new {
-                    self.apply_all(surface, edits);
-                }
-                self.lead_or_follow();
-            }
+            Ok(resolved) => self.accept_resolved_view(surface, &resolved),
+            Err(error) if error.rejects_view() => self.reject_view(surface, &error),
+            Err(error) => self.pause_resolving(surface, &error),
         }
     }
 
+    /// Brings the pending view of a surface into force, with the values that were resolved, and applies the edits that wait behind it.
+    fn accept_resolved_view(&mut self, surface: u8, resolved: &View) {
+        let Some(opened) = &mut self.opened else { return };
+        let in_force = opened.volume.clone();
+        let session = opened.surface_mut(surface);
+        let Some(pending) = session.and_then(|session| session.pending.as_mut()) else {
+            return;
+        };
+        let PendingView {
+            mut view,
+            budget_edit,
+            edit,
+            makes_surface,
+            queue,
+            ..
+        } = pending.clone();
+        view.iso = view.iso.or(resolved.iso);
+        view.feature_range = view.feature_range.or(resolved.feature_range);
+        // The view was resolved for a time step that is not in force any more. Its values stay, but its samples must also be loaded for the
+        // step in force.
+        if pending.at.key() != in_force.key() {
+            (pending.view, pending.at) = (view, in_force);
+            return;
+        }
+        self.come_into_force(surface, view, budget_edit, edit, makes_surface);
+        self.apply_edits(surface, queue);
+        self.lead_or_follow();
+    }
+
+    /// Handles an error that a retry may avoid. A view of a time step that is not in force any more is resolved for the one in force. Any
+    /// other waits for the next edit.
+    fn pause_resolving(&mut self, surface: u8, error: &WorkError) {
+        let Some(opened) = &mut self.opened else { return };
+        let in_force = opened.volume.clone();
+        let session = opened.surface_mut(surface);
+        let Some(pending) = session.and_then(|session| session.pending.as_mut()) else {
+            return;
+        };
+        if pending.at.key() == in_force.key() {
+            pending.is_paused = true;
+            self.send_surface_error(surface, error.code(), error.public_message());
+        } else {
+            tracing::debug!(error = chain(error), "a time step that was overtaken gives no values");
+            pending.at = in_force;
+        }
+    }
+
+    /// Rejects the pending view of a surface. If several edits led to it, applies them one by one to find the invalid one.
+    fn reject_view(&mut self, surface: u8, error: &WorkError) {
+        let Some(opened) = &mut self.opened else { return };
+        let Some(session) = opened.surface_mut(surface) else {
+            return;
+        };
+        let Some(pending) = session.pending.take() else { return };
+        if pending.edits.len() > 1 {
+            return self.apply_edits(surface, pending.edits);
+        }
+        tracing::debug!(error = chain(error), "an edit does not come into force");
+        if session.is_new() {
+            opened.remove(surface);
+        }
+        let new = opened.take_new_surfaces();
+        self.send_surface_error(surface, error.code(), error.public_message());
+        self.apply_edits(surface, pending.queue);
+        // These surfaces may have begun with the budget of the invalid edit.
+        for (surface, edits) in new {
+            self.apply_edits(surface, edits);
+        }
+        self.lead_or_follow();
+    }
+
+    /// Brings a time step into force, or drops it if a surface cannot be made of it.
     fn on_resolved_step(&mut self, step: &StepKey, result: Result<Vec<(u8, View)>, (u8, WorkError)>) {
         let Some(opened) = &mut self.opened else { return };
         let Some(stepping) = opened.stepping.take_if(|stepping| stepping.volume.key() == *step) else {
@@ -284,12 +311,12 @@ impl<B: Backend> Session<B> {
                         session.view.iso = session.view.iso.or(resolved.iso);
                     }
                 }
-                self.step_into_force(stepping);
+                self.bring_step_into_force(stepping);
                 self.lead_or_follow();
             }
             Err((surface, error)) => {
                 tracing::debug!(error = chain(&error), "a time step does not come into force");
-                opened.resolve_here(step);
+                opened.resolve_for_step_in_force(step);
                 let message = format!(
                     "step {} is not shown, step {} stays: {}",
                     step.step,
@@ -301,6 +328,7 @@ impl<B: Backend> Session<B> {
         }
     }
 
+    /// Sends an error that concerns one surface. The volume stays open.
     pub(super) fn send_surface_error(&mut self, surface: u8, code: &'static str, message: String) {
         metrics::stream_error(code);
         self.send(&ServerMessage::Error {
@@ -314,91 +342,90 @@ impl<B: Backend> Session<B> {
 }
 
 impl OpenVolume {
-    /// Keeps the view of an edit until it is resolved.
+    /// Stores the view of an edit until it is resolved. `edit`: number of the edit. `waiting`: the edit itself; without it, the edits of the
+    /// view cannot be applied one by one.
     pub(super) fn hold_back(
         &mut self,
         number: u8,
         view: View,
-        named: Option<NamedBudget>,
+        budget_edit: Option<BudgetEdit>,
         edit: u64,
-        kept: Option<KeptEdit>,
+        waiting: Option<WaitingEdit>,
     ) {
-        let at = kept
+        let at = waiting
             .as_ref()
-            .map_or_else(|| self.newest_step().clone(), |kept| kept.at.clone());
-        let begins = self.view_of(number);
-        let surface = self.surface_or_new(number, begins);
-        let before = surface.pending.as_ref();
-        let is_derived = |view: &View| matches!(view.feature, FeatureName::Derived(_));
-        let feature = |view: &View| (view.feature.clone(), is_derived(view).then(|| view.field.clone()));
-        // Values that an earlier edit left open are those of that edit's time step.
-        let is_still_open =
-            |before: &&PendingView| before.view.feature_range.is_none() && feature(&before.view) == feature(&view);
-        let at = before.filter(is_still_open).map_or(at, |before| before.at.clone());
-        let is_made = kept.as_ref().is_none_or(|kept| kept.is_made);
-        let mut edits = before.map_or_else(Vec::new, |before| before.edits.clone());
+            .map_or_else(|| self.newest_step().clone(), |waiting| waiting.at.clone());
+        let view_in_force = self.view_of(number);
+        let surface = self.surface_or_new(number, view_in_force);
+        let before = surface.pending.take();
+        // A range that an earlier edit left open is still resolved for that edit's time step, unless this edit has another feature.
+        let at = match &before {
+            Some(before) if before.leaves_range_open(&view) => before.at.clone(),
+            _ => at,
+        };
+        let makes_surface = waiting.as_ref().is_none_or(|waiting| waiting.makes_surface);
         let is_first = before.is_none();
-        match kept {
-            Some(kept) if is_first || (1..MAX_KEPT_EDITS).contains(&edits.len()) => edits.push(kept),
+        let mut edits = before.map_or_else(Vec::new, |before| before.edits);
+        // Once an edit is missing from the list, the list stays empty.
+        match waiting {
+            Some(waiting) if is_first || (1..MAX_WAITING_EDITS).contains(&edits.len()) => edits.push(waiting),
             _ => edits.clear(),
         }
         surface.pending = Some(PendingView {
             view,
             at,
-            named,
+            budget_edit,
             edit,
-            is_made,
+            makes_surface,
             is_paused: false,
             edits,
             queue: Vec::new(),
         });
     }
 
-    /// After a time step has failed: views that were waiting for that step are resolved for the step in force instead.
-    fn resolve_here(&mut self, failed: &StepKey) {
-        let here = self.volume.clone();
+    /// After a time step has failed: views that were to be resolved for that step are resolved for the step in force instead.
+    fn resolve_for_step_in_force(&mut self, failed: &StepKey) {
+        let in_force = self.volume.clone();
         let pending = self.surfaces_mut().filter_map(|(_, surface)| surface.pending.as_mut());
         for pending in pending.filter(|pending| pending.at.key() == *failed) {
-            pending.at = here.clone();
+            pending.at = in_force.clone();
         }
     }
 }
 
 /// Returns the job that resolves a view. Dropping the job cancels it.
-fn resolve_view<B: Backend>(backend: B, surface: u8, asked: PendingView) -> BoxFuture<Resolved> {
+fn resolve_view<B: Backend>(backend: B, surface: u8, requested: PendingView) -> BoxFuture<Resolved> {
     let token = CancellationToken::new();
     let guard = token.clone().drop_guard();
     Box::pin(async move {
         let _guard = guard;
-        let result = backend.resolve(&asked.at, &asked.view, &token).await;
+        let result = backend.resolve(&requested.at, &requested.view, &token).await;
         Resolved::View {
             surface,
-            asked: Box::new(asked),
+            requested: Box::new(requested),
             result,
         }
     })
 }
 
-/// As [`resolve_view`], for all surfaces that are made of a step.
+/// Returns the job that resolves the views of surfaces for a time step, one after the other. The first error ends it. Dropping the job
+/// cancels it.
 fn resolve_step<B: Backend>(backend: B, volume: VolumeStep, views: Vec<(u8, View)>) -> BoxFuture<Resolved> {
     let token = CancellationToken::new();
     let guard = token.clone().drop_guard();
     Box::pin(async move {
         let _guard = guard;
-        let mut resolved = Ok(Vec::new());
-        for (number, view) in views {
-            match (backend.resolve(&volume, &view, &token).await, &mut resolved) {
-                (Ok(view), Ok(all)) => all.push((number, view)),
-                (Err(error), _) => {
-                    resolved = Err((number, error));
-                    break;
-                }
-                (Ok(_), Err(_)) => {}
+        let resolve_all = async {
+            let mut resolved = Vec::new();
+            for (number, view) in views {
+                let result = backend.resolve(&volume, &view, &token).await;
+                resolved.push((number, result.map_err(|error| (number, error))?));
             }
-        }
+            Ok(resolved)
+        };
         Resolved::Step {
             step: volume.key(),
-            result: resolved,
+            result: resolve_all.await,
         }
     })
 }

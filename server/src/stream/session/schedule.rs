@@ -34,7 +34,11 @@ impl OpenVolume {
             .surfaces()
             .filter_map(|(number, surface)| {
                 let generation = surface.generation()?;
-                Some((number, self.next_of(number, generation, pace)?, generation.waits_since))
+                Some((
+                    number,
+                    self.next_of(number, generation, pace)?,
+                    generation.waiting_since_job,
+                ))
             })
             .collect();
         let starving = steps
@@ -123,7 +127,7 @@ impl OpenVolume {
             let generation = surface.generation()?;
             let verdict = self.verdict(number);
             let is_next = matches!(generation.making, Making::Made(_)) && verdict != Verdict::Wait;
-            is_next.then_some((generation.waits_since, number, verdict))
+            is_next.then_some((generation.waiting_since_job, number, verdict))
         });
         made.min_by_key(|(since, ..)| *since)
             .map(|(_, number, verdict)| (number, verdict))

@@ -138,8 +138,8 @@ impl SurfaceSession {
         };
         self.key = Some(key.clone());
         let key = ViewKey::new(key, &view);
-        let mut generation = Generation::of_edit(surface, number, view, key, shown);
-        generation.waits_since = jobs;
+        let mut generation = Generation::from_edit(surface, number, view, key, shown);
+        generation.waiting_since_job = jobs;
         generation.first_step = first_step;
         self.edit_pending = false;
         self.failed = None;

@@ -99,7 +99,7 @@ impl<B: Backend> Session<B> {
     }
 
     /// Puts another step of the open volume into force.
-    pub(super) fn step_into_force(&mut self, step: PendingStep) {
+    pub(super) fn bring_step_into_force(&mut self, step: PendingStep) {
         let PendingStep {
             volume,
             cancelled_after,
@@ -107,7 +107,7 @@ impl<B: Backend> Session<B> {
         for surface in 0..MAX_SURFACES {
             self.end_generation(surface);
         }
-        self.questions.overtaken();
+        self.questions.cancel_for_edit();
         self.outbox.drop_annotations();
         let step = volume.step();
         let times = volume.dataset().times.as_ref();
@@ -115,7 +115,7 @@ impl<B: Backend> Session<B> {
             step,
             label: times.map(|times| times.label(step)),
         });
-        let guard = self.backend.hold(&volume);
+        let guard = self.backend.mark_open(&volume);
         if let Some(opened) = &mut self.opened {
             opened.expected = expected(opened.volume.step(), step, volume.dataset().steps);
             opened.step_to(volume, guard);

@@ -59,7 +59,7 @@ impl<B: Backend> Session<B> {
         };
         session.held = Arc::new(held);
         session.held_triangles = sent.surface_triangles;
-        session.shown = Some(generation.held(sent.cut));
+        session.shown = Some(generation.surface_after(sent.cut));
         session.shown_generation = generation.number;
         session.holds_another_step = false;
         generation.committed = true;
@@ -77,7 +77,7 @@ impl<B: Backend> Session<B> {
         }
         let ping = self
             .pace
-            .handed_over(sent.bytes, sent.handed_over.unwrap_or(sent.began));
+            .record_sent(sent.bytes, sent.handed_over.unwrap_or(sent.began));
         self.outbox.push_front(Frame::Ping(ping));
         if ends {
             self.end_generation(surface);

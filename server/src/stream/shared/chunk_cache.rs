@@ -113,7 +113,7 @@ impl ChunkCache {
     fn change(&self, change: impl FnOnce(&mut Entries)) {
         let mut entries = self.entries();
         change(&mut entries);
-        metrics::memory("chunks", entries.bytes());
+        metrics::set_memory("chunks", entries.bytes());
     }
 }
 

@@ -126,7 +126,7 @@ impl Shared {
             let counted = wanted.backend.count(&wanted.volume, &wanted.view, &token).await;
             counted.map_err(Arc::new)
         };
-        self.0.counted.make(&key, token, make).await.0
+        self.0.counted.join_or_start(&key, token, make).await.0
     }
 
     /// Makes a step from the surface that a client shows to the surface of a view, or finds one in the cache or in flight.
@@ -159,7 +159,7 @@ impl Shared {
             };
             // If the steps of other viewers did not suit, a step is made for this viewer alone, and others do not join it.
             let (made, was_joined) = match joined {
-                ..MAX_JOINED => self.0.steps.make(&key, token, make).await,
+                ..MAX_JOINED => self.0.steps.join_or_start(&key, token, make).await,
                 MAX_JOINED.. => (make(token.clone()).await, false),
             };
             let made = made?;
@@ -195,7 +195,7 @@ impl Shared {
             kept.keep_step(own_key, &made);
             Ok(Some(made))
         };
-        let (made, was_joined) = self.0.improved.make(&key, token, make).await;
+        let (made, was_joined) = self.0.improved.join_or_start(&key, token, make).await;
         metrics::found_step(if was_joined { "joined" } else { "miss" });
         let is_own = !was_joined;
         Ok(made?.map(|step| Offered { step, is_own }))
@@ -220,7 +220,7 @@ impl Shared {
             }
             Ok(measured)
         };
-        self.0.measured.make(&key, token, make).await.0
+        self.0.measured.join_or_start(&key, token, make).await.0
     }
 }
 

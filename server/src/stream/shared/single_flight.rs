@@ -1,4 +1,4 @@
-//! Single-flight jobs: a request for a result that is being made waits for the job in flight.
+//! Single-flight jobs: a request for a result that another request is making waits for that job instead of starting one.
 
 use std::collections::HashMap;
 use std::hash::Hash;
@@ -26,10 +26,13 @@ struct Jobs<K, T: Clone> {
     last: u64,
 }
 
+/// A job in flight.
 struct Running<T: Clone> {
     number: u64,
     job: Job<T>,
+    /// Cancels the job.
     token: CancellationToken,
+    /// Number of waiters.
     waiting: usize,
 }
 
@@ -53,9 +56,9 @@ impl<K: Clone + Eq + Hash, T: Clone + Send + Sync + 'static> SingleFlight<K, T> 
     /// Waits for the job of this key; calls `start` to begin it if it is not in flight. Returns the result, and whether the job was in
     /// flight already.
     ///
-    /// If `token` is cancelled, this waiter leaves and the others go on waiting. The last waiter cancels the job and returns only when it
+    /// If `token` is cancelled, this waiter leaves and the others continue to wait. The last waiter cancels the job and returns only when it
     /// has ended, so that a caller never has two jobs at once.
-    pub(super) async fn make<F>(
+    pub(super) async fn join_or_start<F>(
         &self,
         key: &K,
         token: &CancellationToken,
@@ -64,7 +67,8 @@ impl<K: Clone + Eq + Hash, T: Clone + Send + Sync + 'static> SingleFlight<K, T> 
     where
         F: Future<Output = Outcome<T>> + Send + 'static,
     {
-        let (mut waiter, mut job, joined) = self.enter(key, start);
+        let (mut waiter, mut job) = self.enter(key, start);
+        let joined = waiter.joined;
         let outcome = tokio::select! {
             outcome = &mut job => outcome,
             () = token.cancelled() => match waiter.leave() {
@@ -76,20 +80,22 @@ impl<K: Clone + Eq + Hash, T: Clone + Send + Sync + 'static> SingleFlight<K, T> 
         (outcome, joined)
     }
 
-    fn enter<F>(&self, key: &K, start: impl FnOnce(CancellationToken) -> F) -> (Waiter<'_, K, T>, Job<T>, bool)
+    /// Adds a waiter to the job of this key; starts the job if it is not in flight.
+    fn enter<F>(&self, key: &K, start: impl FnOnce(CancellationToken) -> F) -> (Waiter<'_, K, T>, Job<T>)
     where
         F: Future<Output = Outcome<T>> + Send + 'static,
     {
         let mut jobs = self.jobs();
-        let waiter = |number| Waiter {
-            joint: self,
+        let waiter = |number, joined| Waiter {
+            flight: self,
             key: key.clone(),
             number,
-            waits: true,
+            joined,
+            is_waiting: true,
         };
         if let Some(running) = jobs.running.get_mut(key) {
             running.waiting += 1;
-            return (waiter(running.number), running.job.clone(), true);
+            return (waiter(running.number, true), running.job.clone());
         }
         let token = CancellationToken::new();
         let job: Pin<Box<dyn Future<Output = _> + Send>> = Box::pin(start(token.clone()));
@@ -103,25 +109,29 @@ impl<K: Clone + Eq + Hash, T: Clone + Send + Sync + 'static> SingleFlight<K, T> 
         };
         let number = running.number;
         jobs.running.insert(key.clone(), running);
-        (waiter(number), job, false)
+        (waiter(number, false), job)
     }
 }
 
 /// A waiter of a job. Dropping it leaves the job.
 struct Waiter<'a, K: Eq + Hash, T: Clone> {
-    joint: &'a SingleFlight<K, T>,
+    flight: &'a SingleFlight<K, T>,
     key: K,
+    /// Number of the job.
     number: u64,
-    waits: bool,
+    /// Whether the job was in flight before this waiter came.
+    joined: bool,
+    /// Whether the waiter still counts as waiting. False after it has left, or the job has ended.
+    is_waiting: bool,
 }
 
 impl<K: Eq + Hash, T: Clone> Waiter<'_, K, T> {
     /// Leaves the job. Returns true if this was the last waiter: then the job was cancelled, and later requests do not join it.
     fn leave(&mut self) -> bool {
-        if !std::mem::replace(&mut self.waits, false) {
+        if !std::mem::replace(&mut self.is_waiting, false) {
             return false;
         }
-        let mut jobs = self.joint.jobs();
+        let mut jobs = self.flight.jobs();
         let Some(running) = jobs.running.get_mut(&self.key) else {
             return false;
         };
@@ -139,8 +149,8 @@ impl<K: Eq + Hash, T: Clone> Waiter<'_, K, T> {
 
     /// Removes the job, which has ended, so that the next request begins another.
     fn end(mut self) {
-        self.waits = false;
-        let mut jobs = self.joint.jobs();
+        self.is_waiting = false;
+        let mut jobs = self.flight.jobs();
         if jobs
             .running
             .get(&self.key)
