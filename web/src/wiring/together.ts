@@ -39,7 +39,6 @@ interface Around {
 }
 
 export class Together {
-  private group: GroupState | undefined;
   private led: Led | undefined;
   private posed: Posed | undefined;
   /** On this connection. */
@@ -56,6 +55,10 @@ export class Together {
     for (const type of ["pointerdown", "wheel", "keydown"] as const) viewport.addEventListener(type, () => this.lookAround(), { passive: true, capture: true });
     window.addEventListener("hashchange", () => this.join());
     if (!around.store.isEmbedded) this.leadOverReloads();
+  }
+
+  private get group(): GroupState | undefined {
+    return this.around.model.group();
   }
 
   /** What another shows is shown, or is going to be. */
@@ -156,8 +159,7 @@ export class Together {
     this.around.model.say(groupNews(before, message));
     if (before === undefined) [this.sentPage, this.sentCamera] = ["", undefined];
     if (isLed(before) && !isLed(message)) [this.sentPage, this.sentCamera] = ["", undefined];
-    this.group = { ...message, isApart: isLed(message) && before?.isApart === true };
-    this.around.model.group.set(this.group);
+    this.around.model.group.set({ ...message, isApart: isLed(message) && before?.isApart === true });
     this.changed();
   }
 
@@ -165,7 +167,7 @@ export class Together {
     const { model, alone } = this.around;
     const wasLed = groupOf(window.location.hash) !== undefined;
     this.isIn = false;
-    [this.group, this.led, this.posed] = [undefined, undefined, undefined];
+    [this.led, this.posed] = [undefined, undefined];
     model.group.set(undefined);
     model.toast(why, "lasting");
     if (wasLed) window.history.replaceState(null, "", window.location.pathname + window.location.search);
@@ -173,9 +175,7 @@ export class Together {
   }
 
   private change(of: Partial<GroupState>): void {
-    if (this.group === undefined) return;
-    this.group = { ...this.group, ...of };
-    this.around.model.group.set(this.group);
+    if (this.group !== undefined) this.around.model.group.set({ ...this.group, ...of });
   }
 
   private lookAround(): void {
