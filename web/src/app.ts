@@ -1,48 +1,46 @@
 /** Joins the layers: events of page, stream and scene change the store, and page and scene show it. */
 
 import { acknowledgeFrames } from "./wiring/acknowledging";
-import { takeAlongActions } from "./wiring/takeAlongActions";
+import { isEdit, isShared, otherActions, stateActions } from "./wiring/actions";
 import { AddressLink } from "./state/addressLink";
-import { makeQuestions } from "./wiring/asking";
 import { Comparison } from "./wiring/comparison";
 import { Connecting } from "./wiring/connecting";
 import { Display, FIRST_TABLES } from "./wiring/display";
 import { embedOptions } from "./embed/origins";
 import { Embedding } from "./wiring/embedding";
 import { Summing } from "./wiring/summing";
-import { Framing, framingActions } from "./wiring/framing";
-import { Later, once } from "./wiring/later";
-import { firstLink, linkState, unknownVolumeText } from "./wiring/linking";
-import { whenReleased } from "./wiring/gesture";
+import { Framing } from "./wiring/framing";
+import { Later, once, whenReleased } from "./wiring/later";
 import { streamAddress, streamUrl } from "./net/credentials";
 import { StreamClient } from "./net/streamClient";
 import { Marks } from "./wiring/marks";
 import { Outputs } from "./wiring/outputs";
 import type { StreamMessage, VolumeSummary } from "./protocol/types";
-import type { Questions } from "./questions/questions";
+import { Questions } from "./questions/questions";
 import { RegionPipeline } from "./regions/pipeline";
 import { statusOf } from "./wiring/status";
 import { FileUploads } from "./wiring/uploading";
 import { Timeline } from "./wiring/timeline";
-import { storeActions } from "./wiring/storeActions";
 import type { Storyteller } from "./wiring/storyteller";
 import { SurfaceRenderer } from "./scene/renderer";
 import { withRanges } from "./state/featureRanges";
 import { isAboutGroup } from "./state/group";
 import { lengthScale } from "./state/lengths";
-import { decodeLink, encodeLink, type Link } from "./state/link";
+import { decodeLink, encodeLink, firstLink, linkState, type Link } from "./state/link";
+import type { StateEvent } from "./state/reduce";
+import { poseFor, stepOf, wantedOf, type State } from "./state/state";
 import { Store } from "./state/store";
 import { isAboutQuestion } from "./state/answers";
 import { distancesOf } from "./state/distances";
 import { shownErrors } from "./state/shownErrors";
-import { isFrameDue, isWorking, showsFinal, type ViewerEvent } from "./state/viewer";
-import { SliceFollower } from "./wiring/sliceFollower";
-import { SurfaceSync } from "./wiring/surfaceSync";
+import { isFrameDue, isWorking, showsFinal } from "./state/viewer";
+import type { UserEvent } from "./state/work";
+import { SlicePlanes, slicesWanted, slicingAt } from "./wiring/slicePlanes";
 import { Together } from "./wiring/together";
 import { Model } from "./ui/model";
 import { showPage } from "./ui/page";
 import { installStatus } from "./ui/statusHook";
-import { errorText, fewerText } from "./ui/words";
+import { errorText, fewerText, unknownVolumeText } from "./ui/words";
 import { followTheme } from "./ui/theme";
 
 /** Delay of texts that follow frequent events: each change makes the browser compose the page, which delays the surface. */
@@ -58,11 +56,10 @@ export class App {
   private readonly outputs: Outputs;
   private readonly comparison: Comparison;
   private readonly marks: Marks;
-  private readonly beside: SliceFollower;
+  private readonly planes: SlicePlanes;
   private readonly pipeline: RegionPipeline;
   private readonly summing: Summing;
   private readonly client: StreamClient;
-  private readonly sync: SurfaceSync;
   private readonly address = new AddressLink({
     onLink: (link) => this.follow(link),
     onBroken: (reason) => this.model.toast(reason, "lasting"),
@@ -77,8 +74,6 @@ export class App {
   private readonly embedding: Embedding | undefined;
   private readonly timeline: Timeline;
   private readonly later = new Later(REFRESH_DELAY_MS, () => this.refresh());
-  /** The values of a link for the volume that is being opened. */
-  private wish: Link | undefined;
 
   /** @throws when the browser has no WebGL 2 */
   constructor(
@@ -92,23 +87,19 @@ export class App {
     this.display = new Display(this.scene, this.base, (reason) => this.model.toast(reason), this.store.isEmbedded);
     this.outputs = new Outputs(this.model, this.store, this.scene, this.base);
     this.marks = new Marks(this.scene);
-    this.beside = new SliceFollower(this.store, this.model, this.base);
-    this.comparison = new Comparison(this.scene, {
-      ask: () => this.synchronise(),
-      onChange: (what) => this.model.showComparing(what),
-    });
+    this.planes = new SlicePlanes(this.model.slices.set, this.base);
+    this.comparison = new Comparison(this.scene, this.store, (comparing) => this.change({ type: "compare", comparing }));
     this.pipeline = this.makePipeline();
     this.summing = new Summing(this.store, this.model, this.pipeline);
     this.client = this.makeClient();
-    this.sync = new SurfaceSync(this.client, this.pipeline, (view) => this.comparison.wanted(view));
-    this.questions = makeQuestions(this.store, this.model, this.scene, this.client, viewport);
-    [this.model.onGpu, this.model.ranged] = [this.scene.onGpu, withRanges];
+    this.questions = this.makeQuestions(viewport);
+    this.model.onGpu = this.scene.onGpu;
     this.connecting = new Connecting(this.model, this.base, (volumes) => this.showVolumes(volumes), () => this.embedding?.refused());
     this.uploads = new FileUploads(this.store, this.model, this.base, () => this.connecting.loadVolumes());
     const { store, model, scene, framing, pipeline, client } = this;
     const around = { store, model, scene, framing, isSettled: () => this.settled, link: () => this.link(), follow: (link: Link) => this.follow(link), base, reconnect: () => client.reconnect() };
     this.storyteller = once(async () => new (await import("./wiring/storyteller")).Storyteller({ ...around, decode: decodeLink, encode: encodeLink }));
-    this.timeline = new Timeline({ ...around, pipeline, questions: this.questions, change: (act) => this.change(act), open: (volume, step) => this.open(volume, step) });
+    this.timeline = new Timeline({ ...around, pipeline, questions: this.questions, change: (event) => this.change(event), open: (volume, step) => this.open(volume, step) });
     this.together = this.makeTogether(viewport);
     if (this.embedOptions !== undefined) this.embedding = new Embedding(this.embedOptions, around);
     showPage(root, this.model, viewport, this.store.isEmbedded);
@@ -123,22 +114,14 @@ export class App {
 
   private makeModel(): Model {
     const { store } = this;
-    return new Model(store, {
+    return new Model({
       openVolume: (id) => {
-        if (!this.together.mayChange()) return;
-        this.timeline.stepping.cancel();
-        this.open(id, store.stepOf(id));
+        if (this.together.mayChange()) this.open(id, stepOf(store.state, id));
       },
-      ...storeActions(store, (act) => this.change(act), () => this.together.mayChange(), () => this.model.mayEdit()),
-      changePage: (layers) => {
-        if (layers.slicing !== undefined && !this.together.mayChange()) return;
-        this.change(() => store.changePage(layers));
-        this.timeline.follow();
-        this.showDisplay();
-      },
+      ...stateActions(store, (event) => this.act(event)),
+      ...otherActions(() => ({ store, model: this.model, framing: this.framing, base: this.base }), () => this.address.write()),
       group: (act) => this.together.act(act),
       story: (act) => act.type !== "add" && !this.together.mayChange() ? undefined : void this.storyteller().then((teller) => teller.act(act)),
-      ...framingActions(() => this.framing),
       measureOverTime: (run) => this.together.mayChange() && this.timeline.measure(run),
       sumUp: () => this.summing.sumSelected(),
       useAtCentre: () => this.questions.useAtCentre(),
@@ -146,7 +129,7 @@ export class App {
       compare: (what) => (what === undefined ? this.comparison.end() : this.comparison.start(what)),
       saveImage: (request) => this.outputs.saveImage(request),
       saveTurn: (request, frames) => this.outputs.saveTurn(request, frames),
-      ...takeAlongActions(() => this.model, store, () => this.base, () => this.address.write()),
+      retrySlices: () => this.planes.retry(),
     });
   }
 
@@ -156,8 +139,8 @@ export class App {
       onResident: (id) => this.pipeline.resident(id),
       onFrame: () => this.frameRendered(),
       onClip: (clip) => {
-        this.change(() => this.store.changeLook({ clip }, "clip"));
-        whenReleased(() => this.change(() => this.store.endGesture()));
+        this.change({ type: "look", look: { clip }, gesture: "clip" });
+        whenReleased(() => this.change({ type: "end-gesture" }));
       },
       onContextLost: () => {
         this.comparison.end();
@@ -175,11 +158,11 @@ export class App {
     const worker = new Worker(new URL("./decode/worker.ts", import.meta.url), { type: "module", name: "decode" });
     return new RegionPipeline(worker, this.scene, {
       onSwap: ({ surface, generation, level, final }) => {
-        this.update({ type: "swap", surface, generation, level, final });
+        this.store.dispatch({ type: "swap", surface, generation, level, final });
         this.framing.swapped();
       },
       onAnnotated: ({ surface, generation, values }) => {
-        this.update({ type: "distances", surface, generation, distances: distancesOf(values, lengthScale(this.store.viewer.volume).spacing) });
+        this.store.dispatch({ type: "distances", surface, generation, distances: distancesOf(values, lengthScale(this.store.viewer.volume).spacing) });
         this.questions.annotated();
         this.showDisplay();
         this.refresh();
@@ -193,15 +176,15 @@ export class App {
 
   private makeTogether(viewport: HTMLElement): Together {
     const { store, model, scene, framing, client } = this;
-    const alone = () => this.showVolumes(store.viewer.volumes ?? []);
-    const does = { link: () => this.link(), dispatch: (event: ViewerEvent) => this.update(event), adopt: (act: () => void) => this.change(act), alone };
+    const does = { link: () => this.link(), change: (event: StateEvent) => this.change(event), alone: () => this.showVolumes(store.viewer.volumes ?? []) };
     return new Together({ store, model, scene, framing, client, ...does }, viewport);
   }
 
   private makeClient(): StreamClient {
     return new StreamClient(() => streamAddress(streamUrl(this.base)), {
+      wanted: () => wantedOf(this.store.state),
       onState: (state, reason) => {
-        this.update({ type: "connection", state });
+        this.store.dispatch({ type: "connection", state });
         this.connecting.changed(state, reason);
         if (state !== "connected") this.together.lost();
         this.refresh();
@@ -209,14 +192,14 @@ export class App {
       onReset: () => void this.pipeline.event({ type: "reset" }),
       onMessage: (message) => this.receive(message),
       onChunk: (frame) => {
-        this.update({ type: "chunk", bytes: frame.byteLength });
+        this.store.dispatch({ type: "chunk", bytes: frame.byteLength });
         this.pipeline.chunk(frame);
         this.later.soon();
       },
       onBroken: (reason) => this.model.toast(`${reason}. Starting over`),
       onOnlyLooks: (reason) => this.model.refuse(reason),
       onEditSent: (surface) => {
-        this.update({ type: "sent", surface, at: performance.now() });
+        this.store.dispatch({ type: "sent", surface, at: performance.now() });
         this.questions.edited();
         this.showDisplay();
         this.later.soon();
@@ -224,40 +207,58 @@ export class App {
     });
   }
 
-  private update(event: ViewerEvent): void {
-    this.store.dispatch(event);
+  /** @param viewport parent of the scene's canvas */
+  private makeQuestions(viewport: HTMLElement): Questions {
+    const { store, model, scene, client } = this;
+    const questions = new Questions(store, (question) => client.ask(question), ([x, y]) => scene.pick(x, y, store.viewer.selected), {
+      showProbe: model.probe.set,
+      addPoint: (x) => model.picked.set({ x }),
+      act: (event) => this.act(event),
+      point: (position) => this.act({ type: "page", layers: { slicing: slicingAt(store, position) } }),
+      say: (text) => model.toast(text, "brief"),
+    });
+    questions.listen(viewport);
+    return questions;
   }
 
-  private open(volume: string, step: number): void {
-    const { store } = this;
-    if (volume !== store.viewer.volume?.id) store.leave(this.scene.regionCount > 0 ? this.scene.camera.pose : undefined);
-    this.wish ??= firstLink(store, volume);
-    this.update({ type: "open", target: { volume, step } });
-    this.client.open(volume, step);
-    if (this.client.ready) for (const { number } of store.surfaces) this.update({ type: "sent", surface: number, at: performance.now() });
+  /** @param wish the values of a link for the volume */
+  private open(volume: string, step: number, wish?: Link): void {
+    const { store, scene } = this;
+    const leaving = volume === store.viewer.volume?.id ? undefined : { pose: scene.regionCount > 0 ? scene.camera.pose : undefined };
+    const first = store.isEmbedded || store.state.wish !== undefined ? undefined : firstLink(store.state, volume);
+    store.dispatch({ type: "open", target: { volume, step }, wish: wish ?? first, leaving });
+    this.client.open();
+    if (this.client.ready) for (const { number } of store.surfaces) store.dispatch({ type: "sent", surface: number, at: performance.now() });
     this.refresh();
   }
 
-  /** Runs a user's action. Changes of view and look are sent to server and scene, and the page shows them at once. */
-  private change(act: () => void): void {
-    const before = this.store.work;
-    act();
-    const after = this.store.work;
-    if (after !== before) this.showDisplay();
+  /** An event of the user; if they may not do that, it is said why not. */
+  private act(event: UserEvent): void {
+    if (isShared(event) && !this.together.mayChange()) return;
+    if (!isEdit(event) || this.model.mayEdit()) this.change(event);
+  }
+
+  /** Dispatches an event. Changes of view and look are sent to server and scene, and the page shows them at once. */
+  private change(event: StateEvent): void {
+    const { store } = this;
+    const before = { ...store.work, state: store.state };
+    store.dispatch(event);
+    const { work, state } = store;
+    if (state !== before.state) this.showDisplay();
     this.questions.follow();
-    if (after?.surfaces !== before?.surfaces) this.synchronise();
-    if (after !== undefined && after.step !== before?.step) this.timeline.stepping.want(after.step);
+    if (work.surfaces !== before.surfaces || state.comparing !== before.state.comparing) this.synchronise();
+    if (work.step !== before.step) this.timeline.openStep();
     // Cards are about another surface.
-    if (after?.selected !== before?.selected) this.refresh();
-    this.model.showWork(this.store);
+    if (work.selected !== before.selected) this.refresh();
+    this.model.showWork(store.state);
     this.together.changed();
     this.address.writeSoon();
+    if (state.page !== before.state.page) this.timeline.follow();
   }
 
   /** Sends the state of the store to the server. */
   private synchronise(): void {
-    const { surfaces, viewer } = this.store;
-    this.sync.follow(surfaces, viewer.selected);
+    this.client.follow();
     this.later.soon();
   }
 
@@ -266,25 +267,25 @@ export class App {
     if (view === undefined || viewer.volume === undefined) return;
     const source = { volume: viewer.volume, step: viewer.target?.step ?? 0, field: slicing.field ?? view.field, slicing };
     this.marks.show(this.store);
-    this.beside.show();
+    this.planes.show(slicesWanted(this.store), viewer.connection === "connected");
     this.display.show(look, withRanges(viewer, surfaces), viewer.selected, source, shownErrors(viewer, surfaces));
   }
 
   private receive(message: StreamMessage): void {
-    const volumeBefore = this.store.viewer.volume?.id;
-    this.update({ type: "message", message });
+    const before = this.store.state;
+    this.store.dispatch({ type: "message", message });
     if (this.questions.received(message) || isAboutQuestion(message)) return this.later.soon();
     if (this.together.receive(message) || isAboutGroup(message)) return this.refresh();
     switch (message.type) {
       case "opened":
-        this.showVolume(message.volume.id !== volumeBefore);
+        this.showVolume(before);
         break;
       case "stepped":
         this.comparison.end();
         this.showDisplay();
         return this.later.soon();
       case "described":
-        this.model.showWork(this.store);
+        this.model.showWork(this.store.state);
         break;
       case "prefix":
       case "committed":
@@ -311,24 +312,24 @@ export class App {
     this.refresh();
   }
 
-  /** Shows the volume that was opened: `another` volume, or another step of the same one. */
-  private showVolume(another: boolean): void {
-    const { store, scene } = this;
+  /** Shows the volume that was opened: another one, or another step of the same one. */
+  private showVolume(before: State): void {
+    const { store, scene, pipeline } = this;
     const { volume } = store.viewer;
     if (volume === undefined) return;
-    const wish = this.wish?.volume === volume.id ? this.wish : undefined;
-    this.wish = undefined;
+    const another = volume.id !== before.server.volume?.id;
     this.comparison.end();
-    if (another) this.pipeline.clear();
-    this.framing.expect(another, store.opened(another, wish));
+    if (another) pipeline.clear();
+    this.framing.expect(another, another ? poseFor(before, volume.id) : undefined);
     scene.setGrid(volume.geometry);
     this.display.place(volume);
-    if ((wish?.surfaces.length ?? 0) > store.surfaces.length) this.model.toast(fewerText(store.surfaces.length), "lasting");
-    this.sync.opened(store.surfaces);
+    const wished = before.wish?.volume === volume.id ? before.wish.surfaces.length : 0;
+    if (wished > store.surfaces.length) this.model.toast(fewerText(store.surfaces.length), "lasting");
+    pipeline.keep(store.surfaces.map(({ number }) => number));
     this.synchronise();
     this.showDisplay();
     document.title = `${volume.title} · isopeel`;
-    this.model.showWork(store);
+    this.model.showWork(store.state);
     this.together.take();
     this.address.writeSoon();
   }
@@ -340,22 +341,22 @@ export class App {
     if (volumes === undefined) return;
     if (!volumes.some(({ id }) => id === link.volume)) {
       const first = target?.volume ?? volumes[0]?.id;
-      this.model.toast(unknownVolumeText(this.store, link.volume, first), "lasting");
+      this.model.toast(unknownVolumeText(this.store.viewer, link.volume, first), "lasting");
       if (target === undefined && first !== undefined) this.open(first, 0);
       return;
     }
     if (volume?.id === link.volume && target?.volume === link.volume) {
-      this.change(() => this.store.replace(link));
+      this.change({ type: "replace", wish: link });
       if (link.pose !== undefined) this.scene.camera.restore(link.pose);
       return;
     }
-    this.wish = link;
-    this.open(link.volume, link.step);
+    this.open(link.volume, link.step, link);
   }
 
-  private readonly link = () => linkState(this.store, this.framing.pose);
+  private readonly link = () => linkState(this.store.state, this.framing.pose);
+
   private showVolumes(volumes: readonly VolumeSummary[]): void {
-    this.update({ type: "volumes", volumes });
+    this.store.dispatch({ type: "volumes", volumes });
     const { target } = this.store.viewer;
     if (target === undefined && !this.together.join() && !this.address.read()) {
       if (volumes[0] !== undefined) this.open(volumes[0].id, 0);
@@ -365,7 +366,7 @@ export class App {
 
   private frameRendered(): void {
     const before = this.store.viewer;
-    this.update({ type: "frame", at: performance.now() });
+    this.store.dispatch({ type: "frame", at: performance.now() });
     const { store, scene, client, base } = this;
     acknowledgeFrames(before, { store, scene, client, base });
     this.together.changed();
@@ -394,6 +395,6 @@ export class App {
     this.connecting.watch(this.store.viewer.watches);
     this.embedding?.follow(this.settled);
     const { levelTriangles, levelTrianglesBySurface } = this.scene;
-    this.model.showProgress(this.store.viewer, { levelTriangles, levelTrianglesBySurface, busy: this.busy });
+    this.model.showProgress(this.store.state, { levelTriangles, levelTrianglesBySurface, busy: this.busy });
   }
 }

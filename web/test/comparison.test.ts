@@ -1,5 +1,8 @@
 import { expect, test } from "vitest";
 import type { SurfaceRenderer } from "../src/scene/renderer";
+import { isEqual } from "../src/protocol/equal";
+import { askedView } from "../src/state/comparing";
+import { FIRST_STATE } from "../src/state/state";
 import { Comparison } from "../src/wiring/comparison";
 import { OPENING } from "./fixture";
 
@@ -17,9 +20,13 @@ function comparisonOf() {
     release: () => calls.push("release"),
     swipe: (share: number, texts: { kept: string; now: string }) => calls.push(`${share} ${texts.kept} | ${texts.now}`),
   };
-  const comparison: Comparison = new Comparison(scene as unknown as SurfaceRenderer, {
-    ask: () => sent.push(comparison.wanted(OPENING)),
-    onChange: (state) => states.push(state),
+  const store = { state: FIRST_STATE };
+  const comparison = new Comparison(scene as unknown as SurfaceRenderer, store, (comparing) => {
+    const before = askedView(OPENING, store.state.comparing);
+    store.state = { ...store.state, comparing };
+    states.push(comparing?.isWaiting === true ? "waiting" : comparing?.kind);
+    const asked = askedView(OPENING, comparing);
+    if (!isEqual(asked, before)) sent.push(asked);
   });
   return { comparison, scene, calls, sent, states };
 }

@@ -5,7 +5,9 @@ import { awaitedDistances, dueQuestions, measuredDistances } from "../src/state/
 import { distancesOf } from "../src/state/distances";
 import { awaitedErrors, dueErrors, shownErrors } from "../src/state/shownErrors";
 import { DEFAULT_STYLE } from "../src/state/surfaceList";
-import { INITIAL_STATE, reduce as next, type ViewerEvent, type ViewerState } from "../src/state/viewer";
+import type { StateEvent } from "../src/state/reduce";
+import type { ViewerState } from "../src/state/viewer";
+import { NOTHING_KNOWN, run as next } from "./acting";
 import { distanceWords } from "../src/ui/words";
 import { CAPABILITIES, OPENING, statistics, VOLUMES, voxels } from "./fixture";
 
@@ -107,15 +109,15 @@ test("the chunk of a region that the client holds is the last that was committed
 });
 
 describe("distances of the surface on screen", () => {
-  const events: ViewerEvent[] = [
+  const events: StateEvent[] = [
     { type: "connection", state: "connected" },
     { type: "message", message: { type: "opened", volume: VOLUMES[0]!, step: 0, edit: OPENING, device: "none", capabilities: CAPABILITIES } },
     { type: "sent", surface: 0, at: 0 },
     { type: "message", message: { type: "done", trace: "00000000000000ab", surface: 0, generation: 1, statistics: statistics(100) } },
   ];
   const distances = { share: 0.98, upper: 1, farthest: 2 };
-  const run = (state: ViewerState, ...more: ViewerEvent[]) => more.reduce(next, state);
-  const done = run(INITIAL_STATE, ...events);
+  const run = next;
+  const done = run(NOTHING_KNOWN, ...events);
   const isDue = (state: ViewerState) => dueQuestions(state, ["annotate"]).some(({ question }) => question.type === "annotate");
 
   test("are asked for where colours show them, once", () => {
@@ -140,7 +142,7 @@ describe("distances of the surface on screen", () => {
   test("are those of the surface that has the colours of the look, whichever is selected", () => {
     const own = { ...DEFAULT_STYLE, color: "#e08a5b" };
     const surfaces = [{ number: 0, view: OPENING, style: DEFAULT_STYLE }, { number: 1, view: OPENING, style: own }];
-    const both = run(done, { type: "surfaces", surfaces, selected: 1 });
+    const both = run(done, { type: "arrange", surfaces }, { type: "select", surface: 1 });
     expect(dueErrors(both, surfaces).map(({ question }) => question)).toEqual([{ type: "annotate", surface: 0, annotation: "error-around" }]);
     expect(awaitedErrors(both, surfaces)).toBe("measuring");
     const known = run(both, { type: "distances", surface: 0, generation: 1, distances });
@@ -154,7 +156,7 @@ describe("distances of the surface on screen", () => {
   test("are those of all surfaces that have the colours of the look, one asked after the other, in one scale", () => {
     const surfaces = [0, 1, 2].map((number) => ({ number, view: OPENING, style: { ...DEFAULT_STYLE, visible: number < 2 } }));
     const made = [
-      { type: "surfaces", surfaces, selected: 0 },
+      { type: "arrange", surfaces },
       { type: "sent", surface: 1, at: 1 },
       { type: "message", message: { type: "done", trace: "00000000000000ab", surface: 1, generation: 2, statistics: statistics(100) } },
     ] as const;

@@ -6,11 +6,12 @@ import { DecodeService, type DecodeReply } from "../src/decode/service";
 import type { Vec3 } from "../src/protocol/types";
 import { enclosedOf } from "../src/state/enclosed";
 import { lengthScale, lengthUnit, unitWord } from "../src/state/lengths";
-import { INITIAL_STATE, type ViewerState } from "../src/state/viewer";
+import { NOTHING_KNOWN } from "./acting";
+import type { ViewerState } from "../src/state/viewer";
 import { enclosedNote, enclosedRows } from "../src/ui/cards/enclosedWords";
 import { formatLength } from "../src/ui/format";
 import { errorWords } from "../src/ui/words";
-import { axesOf, Enclosing } from "../src/wiring/enclosing";
+import { axesOf, Enclosing } from "../src/wiring/summing";
 import { statistics, VOLUMES } from "./fixture";
 import { encodeChunk, surfaceNets, type Field } from "./synthetic";
 
@@ -139,12 +140,11 @@ describe("the page", () => {
   const base = { area: 10, volume: 5, borderEdges: 0 };
   const shown = { generation: 1, level: 0, final: true };
   function enclosing(pipelineSum: () => Promise<typeof base>) {
-    const store: { viewer: ViewerState } = { viewer: { ...INITIAL_STATE, volume: VOLUMES[0], shown } };
+    const store: { viewer: ViewerState } = { viewer: { ...NOTHING_KNOWN, volume: VOLUMES[0], shown } };
     const said: unknown[] = [];
     const toasts: string[] = [];
     const sum = vi.fn(pipelineSum);
-    const model = { showEnclosed: (what: unknown) => said.push(what), toast: (text: string) => toasts.push(text) };
-    return { enclosing: new Enclosing(store, model, { sum }), said, store, sum, toasts };
+    return { enclosing: new Enclosing(store, (what) => said.push(what), (reason) => toasts.push(reason), { sum }), said, store, sum, toasts };
   }
 
   test("shows sums while their surface is on screen", async () => {

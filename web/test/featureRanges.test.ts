@@ -4,7 +4,7 @@ import { ofItsField } from "../src/state/fields";
 import { decodeLink, encodeLink } from "../src/state/link";
 import { DEFAULT_LOOK } from "../src/state/look";
 import { DEFAULT_STYLE } from "../src/state/surfaceList";
-import { INITIAL_STATE } from "../src/state/viewer";
+import { knownOfOne, NOTHING_KNOWN } from "./acting";
 import { OPENING, statistics, VOLUMES } from "./fixture";
 
 const linkOf = (view: typeof OPENING) =>
@@ -24,8 +24,8 @@ test("a link with another feature and no range does not have that of the feature
 
 test("a range that the server has chosen is the one of the colours", () => {
   const surfaces = [{ number: 0, view: { ...OPENING, feature: "depth", featureRange: undefined }, style: DEFAULT_STYLE }];
-  expect(withRanges(INITIAL_STATE, surfaces)[0]?.view.featureRange).toBeUndefined();
-  const done = { ...INITIAL_STATE, statistics: { ...statistics(9), featureRange: [2, 7] as const } };
+  expect(withRanges(NOTHING_KNOWN, surfaces)[0]?.view.featureRange).toBeUndefined();
+  const done = knownOfOne({ statistics: { ...statistics(9), featureRange: [2, 7] } });
   expect(withRanges(done, surfaces)[0]?.view.featureRange).toEqual([2, 7]);
   const given = { number: 0, view: { ...OPENING, featureRange: [0, 1] as const }, style: DEFAULT_STYLE };
   expect(withRanges(done, [given])[0]?.view.featureRange).toEqual([0, 1]);

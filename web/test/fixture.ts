@@ -10,7 +10,7 @@ import { MeshoptEncoder } from "meshoptimizer/encoder";
 import { WebSocket, WebSocketServer } from "ws";
 import { SUBPROTOCOL } from "../src/protocol/generated";
 import type { Capabilities, ClientMessage, Edit, FieldInfo, Probed, Question, ServerMessage, Statistics, View, VolumeInfo, VolumeSummary } from "../src/protocol/types";
-import { complete } from "../src/state/view";
+import { complete } from "../src/protocol/view";
 import { CELLS, encodeChunk, encodeDistances, feature, surfaceNets, wobblyBall, type Field, type SyntheticMesh } from "./synthetic";
 
 function describe(name: string, unit: string | null, field: Field): FieldInfo {

@@ -2,7 +2,7 @@ import { describe, expect, test } from "vitest";
 import { joinGlb, type GlbPart } from "../src/net/glb";
 import { DEFAULT_LOOK } from "../src/state/look";
 import { DEFAULT_STYLE } from "../src/state/surfaceList";
-import { INITIAL_STATE } from "../src/state/viewer";
+import { NOTHING_KNOWN } from "./acting";
 import { linearColor } from "../src/transfer/model";
 import { colorOf, signOf } from "../src/wiring/surfaceSigns";
 import { OPENING, VOLUMES } from "./fixture";
@@ -116,7 +116,7 @@ test("a surface's colour is its own, else the material's, unless the vertices ha
 test("the sign of a surface in images has its colours and its isovalue with the unit", () => {
   const volume = VOLUMES[0]!;
   const field = { ...volume.fields[0]!, unit: "HU" };
-  const viewer = { ...INITIAL_STATE, volume: { ...volume, fields: [field] } };
+  const viewer = { ...NOTHING_KNOWN, volume: { ...volume, fields: [field] } };
   const surface = { number: 0, view: { ...OPENING, field: field.name, iso: 517.25 }, style: { ...DEFAULT_STYLE, opacity: 0.35, color: "#e08a5b" } };
   const store = { look: DEFAULT_LOOK, surfaces: [surface], viewer };
   expect(signOf(surface, store)).toEqual({ stops: ["#e08a5b"], opacity: 0.35, text: `${field.name} 517.25 HU` });

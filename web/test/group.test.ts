@@ -2,10 +2,10 @@ import type { AddressInfo } from "node:net";
 import { afterEach, beforeEach, describe, expect, test, vi } from "vitest";
 import { WebSocket, WebSocketServer, type WebSocket as Socket } from "ws";
 import { keepLeading, takeLeading } from "../src/net/leading";
-import { StreamClient } from "../src/net/streamClient";
 import type { Group, ServerMessage } from "../src/protocol/types";
 import { barText, groupLink, groupNews, groupOf } from "../src/state/group";
-import { CAPABILITIES, OPENING } from "./fixture";
+import { ActingPage } from "./acting";
+import { CAPABILITIES, OPENING, VOLUMES } from "./fixture";
 
 const ID = "0123456789abcdef0123456789abcdef";
 
@@ -84,7 +84,7 @@ describe("a client that follows", () => {
   let socket: Socket;
   const said: { readonly type: string }[] = [];
   const heard: ServerMessage[] = [];
-  let client: StreamClient;
+  let page: ActingPage;
 
   beforeEach(async () => {
     vi.stubGlobal("WebSocket", WebSocket);
@@ -98,28 +98,19 @@ describe("a client that follows", () => {
         if (message.type !== "heartbeat") said.push(message);
       });
     });
-    client = makeClient();
-    client.join(ID, undefined);
-    client.start();
+    page = makePage();
+    page.client.join(ID, undefined);
+    page.client.start();
     await vi.waitFor(() => expect(said).toEqual([{ type: "join", name: null, group: ID, codings: ["predictive"] }]));
   });
 
-  function makeClient(): StreamClient {
+  function makePage(): ActingPage {
     const { port } = server.address() as AddressInfo;
-    const nothing = () => undefined;
-    return new StreamClient(`ws://127.0.0.1:${port}`, {
-      onState: nothing,
-      onReset: nothing,
-      onChunk: nothing,
-      onBroken: nothing,
-      onOnlyLooks: nothing,
-      onEditSent: nothing,
-      onMessage: (message) => heard.push(message),
-    });
+    return new ActingPage(`ws://127.0.0.1:${port}`, { onMessage: (message) => heard.push(message) });
   }
 
   afterEach(() => {
-    client.stop();
+    page.client.stop();
     server.close();
     vi.unstubAllGlobals();
   });
@@ -127,19 +118,18 @@ describe("a client that follows", () => {
   const say = (message: object) => socket.send(JSON.stringify(message));
   const group = { type: "group", group: ID, you: 1, control: 0, followers: 1, asks: false, people: [] };
   const led = { type: "led", volume: "head", step: 2, surfaces: [{ surface: 0, edit: { ...OPENING, iso: 7 } }] };
-  const opened = { type: "opened", volume: { id: "head" }, step: 2, edit: OPENING, device: "none", capabilities: CAPABILITIES };
+  const opened = { type: "opened", volume: { ...VOLUMES[0], id: "head" }, step: 2, edit: OPENING, device: "none", capabilities: CAPABILITIES };
 
   test("it asks for nothing of its own until it has control, and joins again by itself", async () => {
     say(group);
     say(led);
     say(opened);
     await vi.waitFor(() => expect(heard.map(({ type }) => type)).toEqual(["group", "led", "opened"]));
-    expect(client.following).toBe(true);
+    expect(page.client.following).toBe(true);
     // What the page shows of the other's is no edit.
-    expect(client.edit({ iso: 7 })).toBe(true);
-    client.open("other", 0);
-    expect(client.view()?.iso).toBe(7);
-    client.restart();
+    page.edit({ iso: 7 });
+    page.client.open();
+    page.client.restart();
     await vi.waitFor(() => expect(said.length).toBe(2), 5000);
     expect(said[1]).toEqual(said[0]);
 
@@ -147,8 +137,8 @@ describe("a client that follows", () => {
     say(led);
     say(opened);
     say({ ...group, control: 1 });
-    await vi.waitFor(() => expect(client.following).toBe(false));
-    client.edit({ iso: 8 });
+    await vi.waitFor(() => expect(page.client.following).toBe(false));
+    page.edit({ iso: 8 });
     await vi.waitFor(() => expect(said.at(-1)).toEqual({ type: "edit", iso: 8 }));
   });
 
@@ -158,8 +148,8 @@ describe("a client that follows", () => {
     say(opened);
     say({ type: "left", reason: "the leader has ended it" });
     await vi.waitFor(() => expect(heard.at(-1)?.type).toBe("left"));
-    expect([client.following, client.ready]).toEqual([false, true]);
-    client.restart();
+    expect([page.client.following, page.client.ready]).toEqual([false, true]);
+    page.client.restart();
     await vi.waitFor(() => expect(said.at(-1)).toEqual({ type: "open", volume: "head", step: 2, codings: ["predictive"] }), 5000);
   });
 
@@ -169,13 +159,13 @@ describe("a client that follows", () => {
     const leads = { ...group, you: 0, key };
     say(leads);
     await vi.waitFor(() => expect(heard).toEqual([{ ...group, you: 0 }]));
-    client.open("head", 2);
+    page.open("head", 2);
     await vi.waitFor(() => expect(said.at(-1)?.type).toBe("open"));
     say(opened);
-    await vi.waitFor(() => expect(client.ready).toBe(true));
-    client.edit({ iso: 8 });
+    await vi.waitFor(() => expect(page.client.ready).toBe(true));
+    page.edit({ iso: 8 });
     await vi.waitFor(() => expect(said.at(-1)).toEqual({ type: "edit", iso: 8 }));
-    client.restart();
+    page.client.restart();
     await vi.waitFor(() => expect(said.at(-1)?.type).toBe("open"), 5000);
     const before = said.length;
     say(opened);
@@ -184,41 +174,41 @@ describe("a client that follows", () => {
 
     // If another viewer has control, that viewer decides what is opened.
     say({ ...leads, control: 1 });
-    await vi.waitFor(() => expect(client.following).toBe(true));
+    await vi.waitFor(() => expect(page.client.following).toBe(true));
     const count = said.length;
-    client.restart();
+    page.client.restart();
     await vi.waitFor(() => expect(said.slice(count)).toEqual([resume]), 5000);
     // It was too late.
     say({ type: "error", code: "unknown-group", message: "there is no such group", open: true });
     await vi.waitFor(() => expect(said.at(-1)).toEqual({ type: "open", volume: "head", step: 2, codings: ["predictive"] }));
-    expect(client.following).toBe(false);
-    client.restart();
+    expect(page.client.following).toBe(false);
+    page.client.restart();
     await vi.waitFor(() => expect(said.slice(count)).toHaveLength(3), 5000);
     expect(said.at(-1)?.type).toBe("open");
   });
 
   test("a page that was loaded anew leads on, after what it shows", async () => {
     const leading = { group: ID, key: "k".repeat(32) };
-    client.stop();
+    page.client.stop();
     said.length = 0;
-    client = makeClient();
-    client.leadOn(leading);
-    expect(client.leads).toEqual(leading);
-    client.open("head", 2);
-    client.start();
+    page = makePage();
+    page.client.leadOn(leading);
+    expect(page.client.leads).toEqual(leading);
+    page.open("head", 2);
+    page.client.start();
     await vi.waitFor(() => expect(said.at(-1)?.type).toBe("open"), 5000);
     say(opened);
     await vi.waitFor(() => expect(said.at(-1)).toEqual({ type: "lead", resume: leading, codings: ["predictive"] }));
-    client.say({ type: "leave" });
-    expect(client.leads).toBeUndefined();
+    page.client.say({ type: "leave" });
+    expect(page.client.leads).toBeUndefined();
     await vi.waitFor(() => expect(said.at(-1)).toEqual({ type: "leave" }));
   });
 
   test("of a group that there is not, nothing is expected", async () => {
     say({ type: "error", code: "unknown-group", message: "there is no such group", open: true });
     await vi.waitFor(() => expect(heard.at(-1)?.type).toBe("error"));
-    expect(client.following).toBe(false);
-    client.open("head", 0);
+    expect(page.client.following).toBe(false);
+    page.open("head", 0);
     await vi.waitFor(() => expect(said.at(-1)).toEqual({ type: "open", volume: "head", step: 0, codings: ["predictive"] }));
   });
 });

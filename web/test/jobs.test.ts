@@ -7,7 +7,7 @@ import type { JobInfo } from "../src/protocol/types";
 import { surfaceFileName, volumeName } from "../src/state/fileNames";
 import { isovaluesOf, justFinished } from "../src/state/jobs";
 import type { Store } from "../src/state/store";
-import { INITIAL_STATE } from "../src/state/viewer";
+import { NOTHING_KNOWN } from "./acting";
 import { finishedText, formatDuration, jobText, submittedText } from "../src/ui/cards/jobWords";
 import type { Model } from "../src/ui/model";
 import { BatchJobs } from "../src/wiring/batchJobs";
@@ -77,7 +77,7 @@ describe("a job that is submitted from the page", () => {
       if (method === "POST") posts += 1;
       return Promise.resolve(Response.json(method === undefined || method === "GET" ? (isListed ? [{ ...JOB, state }] : []) : { ...JOB, state }));
     });
-    const store = { viewer: { ...INITIAL_STATE, view: OPENING, target: { volume: "head", step: 0 } } } as unknown as Store;
+    const store = { viewer: { ...NOTHING_KNOWN, view: OPENING, target: { volume: "head", step: 0 } } } as unknown as Store;
     const jobs = new BatchJobs(store, { toast: (text: string) => said.push(text) } as unknown as Model, BASE);
     await jobs.submit([7], "glb");
     await jobs.list();

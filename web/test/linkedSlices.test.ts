@@ -7,13 +7,13 @@ import { draggedWindow } from "../src/slices/window";
 import { decodeLink, encodeLink } from "../src/state/link";
 import { DEFAULT_LOOK } from "../src/state/look";
 import { crosshairOf, fieldsOf, FIRST_SLICING, moved, nextLayout, outlinesOf, planesAt, pointed, type SliceState, type Slicing } from "../src/state/slicing";
-import { Store } from "../src/state/store";
+import { ActingStore } from "./acting";
 import { DEFAULT_STYLE } from "../src/state/surfaceList";
 import { outlineIn } from "../src/ui/slicePanel/draw";
 import { WheelSteps } from "../src/ui/slicePanel/gestures";
 import { positionWords, problemWords, valueWords } from "../src/ui/slicePanel/words";
 import { SlicePlanes, type SlicesWanted } from "../src/wiring/slicePlanes";
-import { crosshairPlace } from "../src/wiring/pointing";
+import { crosshairPlace } from "../src/wiring/marks";
 import { indexAt, indexOfEven, worldOf, type PlacedGrid } from "../src/world/places";
 import { evenOf } from "../src/world/uneven";
 import { OPENING, VOLUMES } from "./fixture";
@@ -248,12 +248,10 @@ test("a link holds layout and crosshair; one of before says nothing of them", ()
 
 
 test("each volume keeps its crosshair, and slices in the picture stay where it was", () => {
-  const store = new Store();
-  const open = (one: typeof volume, wish?: Parameters<Store["opened"]>[1]) => {
+  const store = new ActingStore();
+  const open = (one: typeof volume, wish?: Parameters<ActingStore["open"]>[1]) => {
     store.leave(undefined);
-    store.dispatch({ type: "open", target: { volume: one.id, step: 0 } });
-    store.dispatch({ type: "message", message: { type: "opened", volume: one, step: 0, edit: OPENING, device: "", capabilities: {} } as never });
-    store.opened(true, wish);
+    store.open({ type: "opened", volume: one, step: 0, edit: OPENING, device: "", capabilities: {} } as never, wish);
   };
   open(volume);
   store.changeLook({ slices: { planes: [1, null, null] } });
@@ -270,7 +268,7 @@ test("each volume keeps its crosshair, and slices in the picture stay where it w
   expect(store.look.slices.planes).toEqual([1, null, null]);
   // Nor does what the one in control shows.
   store.changePage({ slicing: { ...store.page.slicing, layout: "both" } });
-  store.adopt(store.work!, FIRST_SLICING);
+  store.dispatch({ type: "adopt", work: store.work, slicing: FIRST_SLICING });
   expect([store.page.slicing, store.look.slices.planes]).toEqual([FIRST_SLICING, [1, null, null]]);
   store.changePage({ slicing: { ...FIRST_SLICING, layout: "both", at: [7, 8, 9] } });
   store.changePage({ slicing: { ...store.page.slicing, layout: "picture" } });

@@ -5,7 +5,7 @@ import { DEFAULT_LOOK } from "../src/state/look";
 import { DEFAULT_STYLE } from "../src/state/surfaceList";
 import { amountOf, MAX_MEASURES, measuresCsv, measureText, readMeasure, type Measure } from "../src/state/measure";
 import { amountWords, measureWords } from "../src/ui/cards/measureWords";
-import { Measuring } from "../src/wiring/measuring";
+import { Measuring } from "../src/wiring/marks";
 import { OPENING, VOLUMES, voxels } from "./fixture";
 
 const distance: Measure = { kind: "distance", points: [[0, 0, 0], [3, 4, 0]] };

@@ -1,7 +1,7 @@
 import { describe, expect, test } from "vitest";
 import type { View } from "../src/protocol/types";
 import { linesOf, Outlines, type Outlined } from "../src/scene/outlines";
-import { Outlining } from "../src/wiring/outlining";
+import { Outlining } from "../src/wiring/marks";
 
 const points = (numbers: readonly number[]) => Array.from({ length: numbers.length / 3 }, (_, i) => numbers.slice(3 * i, 3 * i + 3));
 

@@ -3,8 +3,8 @@ import type { Vec3 } from "../src/protocol/types";
 import { choosePart, MAX_PARTS, partsText, placesOf, readParts, withoutPlace, type Parts } from "../src/state/parts";
 import { offersParts, partsNote, partsWords } from "../src/ui/cards/partTools";
 import { hintText } from "../src/ui/words";
-import { complete } from "../src/state/view";
-import { INITIAL_STATE } from "../src/state/viewer";
+import { complete } from "../src/protocol/view";
+import { NOTHING_KNOWN } from "./acting";
 import { OPENING, statistics, VOLUMES } from "./fixture";
 
 const A: Vec3 = [1, 2, 3];
@@ -82,7 +82,7 @@ describe("parts that are chosen", () => {
   });
 
   test("explain a picture without a surface", () => {
-    const open = { ...INITIAL_STATE, connection: "connected" as const, volume: VOLUMES[0], shown: { generation: 1, level: 0, final: true } };
+    const open = { ...NOTHING_KNOWN, connection: "connected" as const, volume: VOLUMES[0], shown: { generation: 1, level: 0, final: true } };
     const hint = (parts: Parts, unmatchedPositions: number) => hintText({ ...open, view: { ...OPENING, parts }, statistics: { ...statistics(0), removedParts: 2, unmatchedPositions } }, false);
     expect(hint({ hide: [A, B] }, 0)).toMatch(/^All parts are hidden/);
     expect(hint({ keep: [A] }, 1)).toMatch(/^At the places that you kept there is no surface now/);

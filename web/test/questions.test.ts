@@ -1,16 +1,15 @@
 import { afterEach, beforeEach, describe, expect, test, vi } from "vitest";
 import { WebSocket } from "ws";
-import { StreamClient } from "../src/net/streamClient";
 import type { Edit, Probed, Question, ServerMessage, Vec3 } from "../src/protocol/types";
 import { Questions } from "../src/questions/questions";
 import type { Place } from "../src/questions/prober";
 import { dueQuestions, isAboutQuestion } from "../src/state/answers";
-import { Store } from "../src/state/store";
 import { MAX_REGIONS, paint, type Interest } from "../src/state/interest";
 import { probeRows } from "../src/ui/probeReadout";
 import { shareWords } from "../src/ui/cards/detail";
 import { curveWords } from "../src/ui/plots/curvePlot";
 import { corrected, correctionOf, errorAt, fineSide, linePath, meetsAxisText, NO_CORRECTION, toX, toY, trianglesFor } from "../src/ui/plots/errorCurve";
+import { ActingPage } from "./acting";
 import { CURVE, FixtureServer, statistics, VOLUMES, voxels } from "./fixture";
 
 class Canvas {
@@ -31,7 +30,6 @@ class Viewport {
 
 /** A page without a picture: what is received is on screen at once. */
 class Page {
-  readonly store = new Store();
   readonly errors: string[] = [];
   readonly said: string[] = [];
   readonly probes: (Probed | undefined)[] = [];
@@ -40,37 +38,42 @@ class Page {
   /** Position of the surface under the pointer. */
   under: Vec3 | undefined = [1, 2, 3];
   underSurface = 0;
-  readonly questions = new Questions(this.store, (question) => this.stream.ask(question), (place) => this.pick(place), {
-    showProbe: (probed) => this.probes.push(probed),
-    addPoint: (blended) => this.picked.push(blended),
-    point: (position) => this.pointed.push(position),
-    setInterest: (interest) => this.edit({ interest }),
-    setParts: (parts) => this.edit({ parts }),
-    setMeasures: (measures) => this.store.changeLook({ measures }),
-    setPicked: (picked) => this.store.changePage({ picked }),
-    endTool: () => this.store.changePage({ tool: undefined }),
-    say: (text) => this.said.push(text),
-  });
-  readonly stream: StreamClient;
+  readonly page: ActingPage;
+  readonly questions: Questions;
 
   /** Places at which the scene was asked for the surface under them. */
   readonly looked: number[] = [];
   private readonly viewport = new Viewport();
 
   constructor(port: number) {
-    this.questions.listen(this.viewport as unknown as HTMLElement);
-    this.stream = new StreamClient(`ws://127.0.0.1:${port}/api/v1/stream`, {
+    this.page = new ActingPage(`ws://127.0.0.1:${port}/api/v1/stream`, {
       onState: (state) => this.store.dispatch({ type: "connection", state }),
-      onReset: () => undefined,
-      onChunk: () => undefined,
       onBroken: (reason) => this.errors.push(reason),
-      onOnlyLooks: () => undefined,
       onEditSent: (surface) => {
         this.store.dispatch({ type: "sent", surface, at: 0 });
         this.questions.edited();
       },
       onMessage: (message) => this.receive(message),
     });
+    this.questions = new Questions(this.store, (question) => this.stream.ask(question), (place) => this.pick(place), {
+      showProbe: (probed) => this.probes.push(probed),
+      addPoint: (blended) => this.picked.push(blended),
+      point: (position) => this.pointed.push(position),
+      act: (event) => {
+        this.page.change((store) => store.dispatch(event));
+        this.questions.follow();
+      },
+      say: (text) => this.said.push(text),
+    });
+    this.questions.listen(this.viewport as unknown as HTMLElement);
+  }
+
+  get store() {
+    return this.page.store;
+  }
+
+  get stream() {
+    return this.page.client;
   }
 
   /** A place where the scene takes longer. */
@@ -83,8 +86,7 @@ class Page {
   }
 
   edit(edit: Edit): void {
-    this.store.edit(edit);
-    this.stream.edit(edit);
+    this.page.edit(edit);
     this.questions.follow();
   }
 
@@ -97,9 +99,7 @@ class Page {
   }
 
   private receive(message: ServerMessage): void {
-    this.store.dispatch({ type: "message", message });
     if (message.type === "committed") this.store.dispatch({ ...message, type: "swap" });
-    if (message.type === "opened") this.store.opened(true, undefined);
     if (!this.questions.received(message) && message.type === "error") this.errors.push(message.message);
     this.questions.follow();
   }
@@ -125,7 +125,7 @@ describe("what the cards show of a surface", () => {
     server = new FixtureServer();
     server.paceMs = 2;
     page = new Page(await server.listen());
-    page.stream.open("ball", 0);
+    page.page.open("ball", 0);
     page.stream.start();
   });
 
@@ -346,10 +346,10 @@ describe("what the cards show of a surface", () => {
 
   test("an error about a question changes nothing", async () => {
     await settled();
-    const before = page.store.viewer;
+    const before = page.store.state;
     const error = { type: "error", code: "no-surface", message: "nothing is shown", open: true } as const;
     page.store.dispatch({ type: "message", message: error });
-    expect(page.store.viewer).toBe(before);
+    expect(page.store.state).toEqual(before);
     expect([error, { ...error, code: "bad-edit" }].map(isAboutQuestion)).toEqual([true, false]);
   });
 });

@@ -1,19 +1,20 @@
 import { describe, expect, test } from "vitest";
 import type { ServerMessage } from "../src/protocol/types";
-import { firstCoarseFrames, INITIAL_STATE, reduce, showsFinal, type ViewerEvent, type ViewerState } from "../src/state/viewer";
+import type { StateEvent } from "../src/state/reduce";
+import { firstCoarseFrames, showsFinal } from "../src/state/viewer";
+import { NOTHING_KNOWN, run } from "./acting";
 import { CAPABILITIES, OPENING, statistics, VOLUMES } from "./fixture";
 
-const run = (state: ViewerState, ...events: ViewerEvent[]) => events.reduce(reduce, state);
-const message = (message: ServerMessage): ViewerEvent => ({ type: "message", message });
+const message = (message: ServerMessage): StateEvent => ({ type: "message", message });
 const opened = (id: string) =>
   message({ type: "opened", volume: VOLUMES.find((v) => v.id === id)!, step: 0, edit: OPENING, device: "Fixture", capabilities: CAPABILITIES });
 const prefix = (generation: number, level: number) => 
   message({ type: "prefix", surface: 0, generation, level, kind: "cut", mesher: "dual", regions: 1, unchanged: 0, triangles: 1, final: level === 0 });
 const done = (generation: number) => message({ type: "done", trace: "00000000000000ab", surface: 0, generation, statistics: statistics(100) });
-const swap = (generation: number, level: number): ViewerEvent => ({ type: "swap", surface: 0, generation, level, final: level === 0 });
-const frame = (at: number): ViewerEvent => ({ type: "frame", at });
+const swap = (generation: number, level: number): StateEvent => ({ type: "swap", surface: 0, generation, level, final: level === 0 });
+const frame = (at: number): StateEvent => ({ type: "frame", at });
 
-const OPEN = run(INITIAL_STATE, { type: "connection", state: "connected" }, opened("ball"));
+const OPEN = run(NOTHING_KNOWN, { type: "connection", state: "connected" }, opened("ball"));
 
 describe("one generation", () => {
   const sent = run(OPEN, { type: "sent", surface: 0, at: 1000 }, prefix(1, 3), { type: "chunk", bytes: 500 });
@@ -101,12 +102,12 @@ describe("opening", () => {
 
   test("sorts the points of the transfer function", () => {
     const points = [...OPENING.transferFunction.points].reverse();
-    const state = reduce(OPEN, message({ type: "opened", volume: VOLUMES[0]!, step: 0, edit: { ...OPENING, transferFunction: { points } }, device: "", capabilities: CAPABILITIES }));
+    const state = run(NOTHING_KNOWN, message({ type: "opened", volume: VOLUMES[0]!, step: 0, edit: { ...OPENING, transferFunction: { points } }, device: "", capabilities: CAPABILITIES }));
     expect(state.view).toEqual(OPENING);
   });
 
   test("states its share until the volume is open", () => {
-    const open: ViewerEvent = { type: "open", target: { volume: "ball-mirrored", step: 0 } };
+    const open: StateEvent = { type: "open", target: { volume: "ball-mirrored", step: 0 } };
     const reading = run(shown, open, message({ type: "opening", bytes: 3, totalBytes: 12 }));
     expect(reading.openedShare).toBe(0.25);
     expect(run(reading, opened("ball-mirrored")).openedShare).toBeUndefined();
@@ -131,10 +132,9 @@ test("a lost connection ends the work, not the surface", () => {
 });
 
 test("other values take the place of those before, where there are any", () => {
-  const view = { ...OPENING, alpha: 1 };
-  const event: ViewerEvent = { type: "surfaces", surfaces: [{ number: 0, view }], selected: 0 };
-  expect(reduce(INITIAL_STATE, event)).toBe(INITIAL_STATE);
-  expect(reduce(OPEN, event).view).toEqual(view);
+  const event: StateEvent = { type: "edit", edit: { alpha: 1 } };
+  expect(run(NOTHING_KNOWN, event).state).toBe(NOTHING_KNOWN.state);
+  expect(run(OPEN, event).view).toEqual({ ...OPENING, alpha: 1 });
 });
 
 test("a refusal stays until the next edit", () => {

@@ -1,74 +1,60 @@
 import { describe, expect, test } from "vitest";
-import type { ServerMessage, View } from "../src/protocol/types";
+import type { View } from "../src/protocol/types";
 import { commandLine } from "../src/state/commandLine";
-import { History } from "../src/state/history";
+import { amend, cancelGesture, canUndo, drag, endGesture, push, redo, startHistory, undo, type History } from "../src/state/history";
 import { decodeLink, encodeLink, type LinkState } from "../src/state/link";
 import { LinkError } from "../src/state/linkReader";
 import { DEFAULT_LOOK, openingLook, type Look } from "../src/state/look";
-import { Store } from "../src/state/store";
 import { DEFAULT_STYLE, type SurfaceStyle } from "../src/state/surfaceList";
-import { complete } from "../src/state/view";
+import { complete } from "../src/protocol/view";
+import { ActingStore } from "./acting";
 import { CAPABILITIES, OPENING, statistics, VOLUMES } from "./fixture";
 
 describe("history", () => {
+  const drags = <T>(history: History<T>, values: readonly T[], name?: string) => values.reduce((now, value) => drag(now, value, name), history);
+
   test("a drag is one step", () => {
-    const history = new History(0);
-    history.set(1);
-    for (const value of [2, 3, 4]) history.drag(value);
-    history.end();
-    expect(history.undo()).toBe(true);
-    expect(history.current).toBe(1);
-    expect(history.redo()).toBe(true);
-    expect(history.current).toBe(4);
-    expect(history.canRedo).toBe(false);
+    const undone = undo(endGesture(drags(push(startHistory(0), 1), [2, 3, 4])));
+    expect(undone.current).toBe(1);
+    const redone = redo(undone);
+    expect([redone.current, redone.future]).toEqual([4, []]);
   });
 
   test("undo in the middle of a drag takes the drag back", () => {
-    const history = new History("a");
-    history.drag("b");
-    history.undo();
-    expect(history.current).toBe("a");
+    expect(undo(drag(startHistory("a"), "b")).current).toBe("a");
   });
 
   test("a new step forgets what was undone", () => {
-    const history = new History(0);
-    history.set(1);
-    history.undo();
-    history.set(2);
-    expect(history.redo()).toBe(false);
+    const history = push(undo(push(startHistory(0), 1)), 2);
+    expect(redo(history)).toEqual(history);
     expect(history.current).toBe(2);
   });
 
   test("is bounded", () => {
-    const history = new History(0, 3);
-    for (let i = 1; i <= 10; i += 1) history.set(i);
-    let steps = 0;
-    while (history.undo()) steps += 1;
-    expect(steps).toBe(3);
-    expect(history.current).toBe(7);
+    const history = [1, 2, 3, 4, 5, 6, 7, 8, 9, 10].reduce((now, value) => push(now, value, 3), startHistory(0));
+    expect(history.past).toEqual([7, 8, 9]);
   });
 
   test("a drag back to its start is no step", () => {
-    const history = new History(5);
-    history.drag(6);
-    history.drag(5);
-    history.end();
-    expect(history.canUndo).toBe(false);
+    expect(canUndo(endGesture(drags(startHistory(5), [6, 5])))).toBe(false);
   });
-});
 
-test("a gesture of another name is another step", () => {
-  const history = new History(0);
-  history.drag(1, "iso");
-  history.drag(2, "iso");
-  history.drag(3, "alpha");
-  history.end();
-  expect([history.undo(), history.current, history.undo(), history.current]).toEqual([true, 2, true, 0]);
+  test("a gesture of another name is another step", () => {
+    const history = undo(endGesture(drag(drags(startHistory(0), [1, 2], "iso"), 3, "alpha")));
+    expect([history.current, undo(history).current]).toEqual([2, 0]);
+  });
+
+  test("a gesture that is cancelled was no step, and an amended value forgets nothing", () => {
+    const dragged = drag(undo(push(startHistory(0), 1)), 7, "iso");
+    expect(cancelGesture(dragged, "alpha")).toBe(dragged);
+    const cancelled = cancelGesture(dragged, "iso");
+    expect([cancelled.current, canUndo(cancelled), redo(amend(cancelled, 5)).current]).toEqual([0, false, 1]);
+  });
 });
 
 const surfaceOf = (view: View, number = 0, style: Partial<SurfaceStyle> = {}) => ({ number, view, style: { ...DEFAULT_STYLE, ...style } });
 
-const opened = (id: string): ServerMessage => ({
+const opened = (id: string): Parameters<ActingStore["open"]>[0] => ({
   type: "opened",
   volume: VOLUMES.find((v) => v.id === id)!,
   step: 0,
@@ -78,16 +64,11 @@ const opened = (id: string): ServerMessage => ({
 });
 
 /** A store in which a volume was opened. */
-function open(store: Store, id: string, wish?: Parameters<Store["opened"]>[1]) {
-  const another = store.viewer.volume?.id !== id;
-  store.dispatch({ type: "open", target: { volume: id, step: 0 } });
-  store.dispatch({ type: "message", message: opened(id) });
-  return store.opened(another, wish);
-}
+const open = (store: ActingStore, id: string, wish?: Parameters<ActingStore["open"]>[1]) => store.open(opened(id), wish);
 
 describe("the store", () => {
   test("undoes edits, colours and looks in the order in which they came", () => {
-    const store = new Store();
+    const store = new ActingStore();
     open(store, "ball");
     expect(store.canUndo).toBe(false);
     store.edit({ iso: 1 }, "iso");
@@ -108,7 +89,7 @@ describe("the store", () => {
   });
 
   test("an edit of what decides takes the place of all that decided", () => {
-    const store = new Store();
+    const store = new ActingStore();
     open(store, "ball");
     store.edit({ beta: 0.1 });
     expect(store.view).toMatchObject({ beta: 0.1, error: undefined, triangles: undefined });
@@ -117,7 +98,7 @@ describe("the store", () => {
   });
 
   test("a link with another field and no isovalue shows it as it opens", () => {
-    const [store, wish] = [new Store(), decodeLink("#volume=ball&field=height")!];
+    const [store, wish] = [new ActingStore(), decodeLink("#volume=ball&field=height")!];
     open(store, "ball", wish);
     const height = VOLUMES[0]!.fields.find(({ name }) => name === "height")!;
     expect(store.view).toMatchObject({ field: "height", iso: height.openingIso!.iso, featureRange: OPENING.featureRange });
@@ -128,7 +109,7 @@ describe("the store", () => {
   });
 
   test("keeps each volume's work, with its history and its camera", () => {
-    const store = new Store();
+    const store = new ActingStore();
     open(store, "ball");
     store.edit({ iso: 5 });
     const pose = { position: [1, 2, 3], target: [0, 0, 0] } as const;
@@ -143,7 +124,7 @@ describe("the store", () => {
   });
 
   test("keeps the history over a reconnection", () => {
-    const store = new Store();
+    const store = new ActingStore();
     open(store, "ball");
     store.edit({ iso: 5 });
     open(store, "ball");
@@ -151,7 +132,7 @@ describe("the store", () => {
   });
 
   test("opens as a link says, which is no step", () => {
-    const store = new Store();
+    const store = new ActingStore();
     const pose = { position: [1, 2, 3], target: [0, 0, 0] } as const;
     expect(open(store, "ball", { surfaces: [{ edit: { beta: 0.3 }, style: {} }], selected: 0, look: { ...DEFAULT_LOOK, colorBy: "level" }, pose })).toEqual(pose);
     expect(store.view).toEqual({ ...OPENING, ...complete({ beta: 0.3 }) });

@@ -7,12 +7,12 @@ import type { RegionMeshData } from "../src/scene/regionMesh";
 import type { DecodeWorker } from "../src/decode/queue";
 import { DecodeQueue } from "../src/decode/queue";
 import { Connection } from "../src/net/connection";
-import { StreamClient } from "../src/net/streamClient";
 import { Throttle } from "../src/net/throttle";
 import { parseServerMessage } from "../src/protocol/messages";
 import type { ServerMessage } from "../src/protocol/types";
 import type { Annotation } from "../src/regions/annotations";
 import { RegionPipeline, type RegionScene } from "../src/regions/pipeline";
+import { ActingPage } from "./acting";
 import { FixtureServer, OPENING } from "./fixture";
 import { CELLS, encodeChunk, encodeDistances, surfaceNets, wobblyBall } from "./synthetic";
 
@@ -78,7 +78,7 @@ class Client {
   readonly scene = new PlainScene();
   readonly worker = new LocalWorker();
   readonly pipeline: RegionPipeline;
-  readonly stream: StreamClient;
+  readonly page: ActingPage;
   readonly looks: string[] = [];
   onOpened: () => void = () => undefined;
 
@@ -89,12 +89,11 @@ class Client {
       onBroken: (reason) => this.broken.push(reason),
     });
     this.scene.onResident = (id) => this.pipeline.resident(id);
-    this.stream = new StreamClient(`ws://127.0.0.1:${port}/api/v1/stream`, {
+    this.page = new ActingPage(`ws://127.0.0.1:${port}/api/v1/stream`, {
       onState: (state) => this.states.push(state),
       onReset: () => void this.pipeline.event({ type: "reset" }),
       onChunk: (frame) => this.pipeline.chunk(frame),
       onBroken: (reason) => this.broken.push(reason),
-      onEditSent: () => undefined,
       onOnlyLooks: (reason) => this.looks.push(reason),
       onMessage: (message) => {
         this.messages.push(message);
@@ -106,6 +105,10 @@ class Client {
         if (type === "annotated") this.pipeline.annotated(message);
       },
     });
+  }
+
+  get stream() {
+    return this.page.client;
   }
 
   of<T extends ServerMessage["type"]>(type: T): Extract<ServerMessage, { type: T }>[] {
@@ -146,7 +149,7 @@ afterEach(async () => {
 
 describe("the stream client", () => {
   test("opens, extracts and shows the final surface", async () => {
-    client.stream.open("ball", 0);
+    client.page.open("ball", 0);
     client.stream.start();
     await client.done();
     expect(server.received).toEqual([{ type: "open", volume: "ball", step: 0, codings: ["predictive"] }, { type: "edit" }]);
@@ -163,14 +166,14 @@ describe("the stream client", () => {
   });
 
   test("sends few of many edits, and the last one", async () => {
-    client.stream.open("ball", 0);
+    client.page.open("ball", 0);
     client.stream.start();
     await client.done();
     const before = client.stream.framesSent;
     const start = performance.now();
     const betas = Array.from({ length: 60 }, (_, i) => (i % 3 === 0 ? 0.1 : i % 3 === 1 ? 0.01 : 0.2));
     for (const beta of [...betas, 0.5]) {
-      client.stream.edit({ beta });
+      client.page.edit({ beta });
       await new Promise((turn) => setTimeout(turn, 2));
     }
     await vi.waitFor(() => expect(client.stream.dirty).toBe(false));
@@ -192,12 +195,12 @@ describe("the stream client", () => {
   });
 
   test("reconnects when the server is back, with the user's values", async () => {
-    client.stream.open("ball", 0);
+    client.page.open("ball", 0);
     client.stream.start();
     await client.done();
-    client.stream.edit({ beta: 0.5 });
+    client.page.edit({ beta: 0.5 });
     await client.done(2);
-    client.stream.remember({ transferFunction: { points: [{ x: 0, importance: 1, color: "#abcdef" }] } });
+    client.page.edit({ transferFunction: { points: OPENING.transferFunction.points.map((point) => ({ ...point, color: "#abcdef" })) } });
     await server.close();
     await vi.waitFor(() => expect(client.states.at(-1)).toBe("waiting"));
     const triangles = client.scene.triangles;
@@ -209,7 +212,7 @@ describe("the stream client", () => {
     expect(server.received[1]).toMatchObject({
       type: "edit",
       beta: 0.5,
-      transferFunction: { points: [{ color: "#abcdef" }] },
+      transferFunction: { points: OPENING.transferFunction.points.map(() => ({ color: "#abcdef" })) },
     });
     expect(client.scene.triangles).toBe(triangles);
   });
@@ -221,20 +224,20 @@ describe("the stream client", () => {
     // A volume may take longer to open than the token lives that the socket has.
     client.stream.reconnect();
     await vi.waitFor(() => expect(count("connected")).toBe(2));
-    client.stream.open("ball", 0);
+    client.page.open("ball", 0);
     await client.done();
   });
 
   test("another step keeps the edit, another volume brings its own", async () => {
-    client.stream.open("ball-mirrored", 0);
+    client.page.open("ball-mirrored", 0);
     client.stream.start();
     await client.done();
-    client.stream.edit({ beta: 0.5 });
+    client.page.edit({ beta: 0.5 });
     await client.done(2);
-    client.stream.open("ball-mirrored", 3);
+    client.page.open("ball-mirrored", 3);
     await client.done(3);
     expect(client.scene.triangles).toBe(trianglesAt(2, 3));
-    client.stream.open("ball", 0);
+    client.page.open("ball", 0);
     await client.done(4);
     expect(client.of("opened").at(-1)?.edit.beta).toBe(OPENING.beta);
     expect(client.scene.triangles).toBe(trianglesAt(0));
@@ -242,13 +245,13 @@ describe("the stream client", () => {
 
   test("goes to another step without opening the volume again, where the server can", async () => {
     server.steps = true;
-    client.stream.open("ball-mirrored", 0);
+    client.page.open("ball-mirrored", 0);
     client.stream.start();
     await client.done();
-    client.stream.edit({ beta: 0.5 });
+    client.page.edit({ beta: 0.5 });
     await client.done(2);
-    client.stream.open("ball-mirrored", 3);
-    client.stream.open("ball-mirrored", 2);
+    client.page.open("ball-mirrored", 3);
+    client.page.open("ball-mirrored", 2);
     await vi.waitFor(() => expect(client.scene.triangles).toBe(trianglesAt(2, 2)));
     expect(server.received.filter(({ type }) => type === "open" || type === "step")).toEqual([
       { type: "open", volume: "ball-mirrored", step: 0, codings: ["predictive"] },
@@ -261,23 +264,20 @@ describe("the stream client", () => {
     // A new connection opens the step that was asked for last, with the edits.
     client.stream.restart();
     await vi.waitFor(() => expect(client.of("opened")).toHaveLength(2));
-    expect(client.of("opened")[1]).toMatchObject({ step: 2, edit: { beta: 0.5 } });
+    expect(client.of("opened")[1]).toMatchObject({ step: 2 });
+    expect(client.page.store.view?.beta).toBe(0.5);
+    await vi.waitFor(() => expect(server.received.at(-1)).toMatchObject({ type: "edit", beta: 0.5 }));
   });
 
   test("acknowledges frames of the open volume only", async () => {
-    client.stream.open("ball", 0);
+    client.page.open("ball", 0);
     client.stream.start();
     await client.done();
     client.stream.acknowledge(1);
-    client.stream.open("ball-mirrored", 0);
+    client.page.open("ball-mirrored", 0);
     client.stream.acknowledge(1);
     await client.done(2);
     expect(server.received.filter(({ type }) => type === "drawn")).toEqual([{ type: "drawn", generation: 1 }]);
-  });
-
-  test("refuses edits before a volume is open", () => {
-    expect(client.stream.edit({ beta: 1 })).toBe(false);
-    expect(client.stream.edit({ beta: 1 }, 2)).toBe(false);
   });
 
   test("connects anew and says why where signs of life stay away", async () => {
@@ -295,36 +295,37 @@ describe("the stream client", () => {
   });
 
   test("edits, removes and repeats surfaces, each with a map of its own", async () => {
-    client.stream.open("ball", 0);
+    client.page.open("ball", 0);
     client.stream.start();
     await client.done();
-    client.stream.edit({ iso: 6, triangles: 1000 }, 2);
-    expect(client.stream.view(0)?.triangles).toBe(1000);
+    client.page.change((store) => {
+      store.addSurface(6);
+      store.edit({ triangles: 1000 });
+    });
     const both = trianglesAt(0) + trianglesAt(0, 0, 6);
     await vi.waitFor(() => expect(client.scene.triangles).toBe(both), 20_000);
-    expect(server.received.at(-1)).toEqual({ type: "edit", surface: 2, iso: 6, triangles: 1000 });
-    await vi.waitFor(() => expect(client.of("measured").map((m) => m.surface)).toContain(2), 20_000);
+    expect(server.received.at(-1)).toMatchObject({ type: "edit", surface: 1, iso: 6, triangles: 1000 });
+    await vi.waitFor(() => expect(client.of("measured").map((m) => m.surface)).toContain(1), 20_000);
 
     server.received.length = 0;
     await server.close();
     await vi.waitFor(() => expect(client.states.at(-1)).toBe("waiting"), 20_000);
     await server.listen(port);
     await vi.waitFor(() => expect(server.received).toHaveLength(3), 20_000);
-    expect(server.received[1]).toMatchObject({ type: "edit", iso: 0, triangles: 1000 });
-    expect(server.received[2]).toMatchObject({ type: "edit", surface: 2, iso: 6 });
+    expect(server.received[1]).toEqual({ type: "edit", triangles: 1000, error: OPENING.error });
+    expect(server.received[2]).toMatchObject({ type: "edit", surface: 1, iso: 6, triangles: 1000 });
     await vi.waitFor(() => expect(client.of("measured")).toHaveLength(4), 20_000);
     await vi.waitFor(() => expect(client.scene.triangles).toBe(both), 20_000);
 
-    client.stream.remove(2);
-    await vi.waitFor(() => expect(client.of("removed")).toEqual([{ type: "removed", surface: 2 }]), 20_000);
+    client.page.change((store) => store.removeSurface(1));
+    await vi.waitFor(() => expect(client.of("removed")).toEqual([{ type: "removed", surface: 1 }]), 20_000);
     expect(client.scene.triangles).toBe(trianglesAt(0));
-    expect(client.stream.view(2)).toBeUndefined();
     expect(client.broken).toEqual([]);
   }, 60_000);
 
   test.each([0, 120])("gives each vertex its own distance, where meshes take %d ms to be on screen", async (uploadMs) => {
     client.scene.uploadMs = uploadMs;
-    client.stream.open("ball", 0);
+    client.page.open("ball", 0);
     client.stream.start();
     // Asked at once: the answer follows the chunks closely.
     await vi.waitFor(() => expect(client.of("done")).not.toEqual([]), 20_000);
@@ -349,12 +350,12 @@ describe("the stream client", () => {
   });
 
   test("passes on errors and continues", async () => {
-    client.stream.open("nothing", 0);
+    client.page.open("nothing", 0);
     client.stream.start();
     await vi.waitFor(() => expect(client.of("error")[0]?.message).toContain("nothing"));
-    client.stream.open("ball", 0);
+    client.page.open("ball", 0);
     await client.done();
-    client.stream.edit({ alpha: 7 });
+    client.page.edit({ alpha: 7 });
     await vi.waitFor(() => expect(client.of("error")[1]?.message).toContain("alpha: 7, expected 0 to 1"));
   });
 });
@@ -431,14 +432,14 @@ describe("a user who may only look", () => {
   test("is shown what the volume opens with, though the page wants another surface", async () => {
     server.onlyLooks = true;
     // As of a link, whose values are a part of the first edit.
-    client.onOpened = () => client.stream.edit({ iso: 0.1 });
+    client.onOpened = () => client.page.edit({ iso: 0.1 });
     client.stream.start();
-    client.stream.open("ball", 0);
+    client.page.open("ball", 0);
     await client.done();
     expect(client.looks).toEqual(["this token is for view, expected one for edit"]);
     expect(client.of("error")).toEqual([]);
     expect(server.received.slice(1)).toEqual([{ type: "edit", iso: 0.1 }, { type: "edit" }]);
-    client.stream.edit({ iso: 0.3 });
+    client.page.edit({ iso: 0.3 });
     await vi.waitFor(() => expect(client.of("error")).toHaveLength(1));
     expect(server.received.at(-1), "what is shown is shown still").toMatchObject({ type: "edit", iso: 0.3 });
   });

@@ -1,18 +1,18 @@
 import { afterEach, beforeEach, describe, expect, test, vi } from "vitest";
 import type { ServerMessage, VolumeInfo } from "../src/protocol/types";
-import { Store } from "../src/state/store";
 import { nextStep, stepCount, stepLabel, stepWords } from "../src/state/timeSteps";
-import { INITIAL_STATE, reduce, type ViewerEvent, type ViewerState } from "../src/state/viewer";
+import type { StateEvent } from "../src/state/reduce";
+import { stepOf } from "../src/state/state";
 import { Player } from "../src/wiring/player";
+import { ActingStore, NOTHING_KNOWN, run } from "./acting";
 import { CAPABILITIES, OPENING, statistics, VOLUMES } from "./fixture";
 
 const BALL = VOLUMES[1]!;
 const times = { label: "0 s", labels: ["0 s", "12.5 s", "25 s", "37.5 s", "50 s", "62.5 s"], unit: "s", calendar: null, start: 0, spacing: 12.5, values: null };
 
-const run = (state: ViewerState, ...events: ViewerEvent[]) => events.reduce(reduce, state);
-const message = (message: ServerMessage): ViewerEvent => ({ type: "message", message });
+const message = (message: ServerMessage): StateEvent => ({ type: "message", message });
 const opened = (volume: VolumeInfo): ServerMessage => ({ type: "opened", volume, step: 0, edit: OPENING, device: "", capabilities: CAPABILITIES });
-const open: ViewerEvent = { type: "open", target: { volume: BALL.id, step: 0 } };
+const open: StateEvent = { type: "open", target: { volume: BALL.id, step: 0 } };
 
 describe("time steps", () => {
   const known = { volume: { ...BALL, times }, volumes: undefined, stepLabel: undefined, target: undefined };
@@ -40,7 +40,7 @@ describe("time steps", () => {
 
 describe("another step", () => {
   const done = message({ type: "done", trace: "00000000000000ab", surface: 0, generation: 1, statistics: statistics(100) });
-  const shown = run(INITIAL_STATE, open, message(opened(BALL)), { type: "swap", surface: 0, generation: 1, level: 0, final: true }, { type: "frame", at: 5 }, done);
+  const shown = run(NOTHING_KNOWN, open, message(opened(BALL)), { type: "swap", surface: 0, generation: 1, level: 0, final: true }, { type: "frame", at: 5 }, done);
 
   test("keeps the surface on screen, and is worked on until its own is done", () => {
     const asked = run(shown, { type: "open", target: { volume: BALL.id, step: 2 } });
@@ -53,10 +53,9 @@ describe("another step", () => {
   });
 
   test("is a step of the history; all that are played are one", () => {
-    const store = new Store();
+    const store = new ActingStore();
     store.dispatch(open);
     store.dispatch(message(opened(BALL)));
-    store.opened(true, undefined);
     store.goTo(2);
     for (const step of [3, 4, 5]) store.goTo(step, "play");
     store.endGesture();
@@ -70,13 +69,12 @@ describe("another step", () => {
   });
 
   test("of a volume that was left is kept", () => {
-    const store = new Store();
+    const store = new ActingStore();
     store.dispatch(open);
     store.dispatch(message(opened(BALL)));
-    store.opened(true, undefined);
     store.goTo(4);
     store.leave(undefined);
-    expect(store.stepOf(BALL.id)).toBe(4);
+    expect(stepOf(store.state, BALL.id)).toBe(4);
   });
 });
 
@@ -85,10 +83,9 @@ describe("the player", () => {
   afterEach(() => void vi.useRealTimers());
 
   function playing(count: number) {
-    const store = new Store();
+    const store = new ActingStore();
     store.dispatch(open);
     store.dispatch(message(opened({ ...BALL, steps: count })));
-    store.opened(true, undefined);
     const asked: number[] = [];
     const screen = { shown: true };
     const player = new Player(
@@ -100,6 +97,7 @@ describe("the player", () => {
           asked.push(step);
           screen.shown = false;
         },
+        change: (player) => store.changePage({ player }),
         onStop: () => store.endGesture(),
       },
       () => Date.now(),

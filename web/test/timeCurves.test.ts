@@ -2,7 +2,7 @@ import { describe, expect, test } from "vitest";
 import type { Probed } from "../src/protocol/types";
 import { DEFAULT_LOOK } from "../src/state/look";
 import { curvesOf, placesOfSteps, timeCurvesCsv, type TimeCurves } from "../src/state/timeCurves";
-import { INITIAL_STATE } from "../src/state/viewer";
+import { NOTHING_KNOWN } from "./acting";
 import { TimeMeasuring } from "../src/wiring/timeMeasuring";
 import { OPENING, statistics, VOLUMES } from "./fixture";
 
@@ -15,7 +15,7 @@ function measuring(fails = false) {
     look: { ...DEFAULT_LOOK, measures: [{ kind: "reading" as const, points: [POINT] as const, values: [] }] },
     step: 1,
     view: OPENING,
-    viewer: { ...INITIAL_STATE, volume: VOLUME, target: { volume: VOLUME.id, step: 1 }, statistics: statistics(9) },
+    viewer: { ...NOTHING_KNOWN, volume: VOLUME, target: { volume: VOLUME.id, step: 1 }, statistics: statistics(9) },
   };
   const [went, shown, failed]: [number[], TimeCurves[], string[]] = [[], [], []];
   const machine = new TimeMeasuring(store, {
@@ -76,7 +76,7 @@ describe("measuring over time", () => {
 
 const CURVES: TimeCurves = {
   volume: VOLUME.id,
-  of: "",
+  of: OPENING,
   field: "depth",
   count: 3,
   points: [POINT],

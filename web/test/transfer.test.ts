@@ -8,12 +8,13 @@ import {
   parseColor,
   recolorPoint,
   removePoint,
-  sameImportance,
   evaluate,
   sorted,
   toWire,
   type Points,
 } from "../src/transfer/model";
+import { isSameSurface } from "../src/protocol/view";
+import { OPENING } from "./fixture";
 
 const point = (x: number, importance: number, color = "#000000") => ({ x, importance, color });
 
@@ -59,9 +60,10 @@ describe("control points", () => {
   test("recoloured have the same importance", () => {
     const recoloured = recolorPoint(IDENTITY, 1, "#123456");
     expect(recoloured[1]?.color).toBe("#123456");
-    expect(sameImportance(IDENTITY, recoloured)).toBe(true);
-    expect(sameImportance(IDENTITY, movePoint(IDENTITY, 1, 1, 0.9))).toBe(false);
-    expect(sameImportance(IDENTITY, addPoint(IDENTITY, 0.5, 0.5).points)).toBe(false);
+    const isSame = (points: Points) => isSameSurface({ ...OPENING, transferFunction: { points: IDENTITY } }, { ...OPENING, transferFunction: { points } });
+    expect(isSame(recoloured)).toBe(true);
+    expect(isSame(movePoint(IDENTITY, 1, 1, 0.9))).toBe(false);
+    expect(isSame(addPoint(IDENTITY, 0.5, 0.5).points)).toBe(false);
   });
 
   test("are sent with five decimals", () => {

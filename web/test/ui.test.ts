@@ -16,8 +16,8 @@ import { refusedText } from "../src/ui/widgets/numberField";
 import { valueAfter } from "../src/ui/widgets/slider";
 import { countWords, errorWords, formatSeconds, hintText, summaryOf } from "../src/ui/words";
 import { readTyped } from "../src/state/typedNumber";
-import { complete, difference } from "../src/state/view";
-import { INITIAL_STATE } from "../src/state/viewer";
+import { complete, difference } from "../src/protocol/view";
+import { knownOfOne, NOTHING_KNOWN } from "./acting";
 import type { Edit, View } from "../src/protocol/types";
 import { OPENING, statistics, VOLUMES, voxels } from "./fixture";
 
@@ -117,7 +117,8 @@ test("a share is in two digits, and 100 % only of all", () => {
 
 describe("the top line", () => {
   const shown = { generation: 1, level: 0, final: true };
-  const final = { ...INITIAL_STATE, connection: "connected" as const, shown, statistics: { ...statistics(100), fullTriangles: 400 } };
+  const known = { ...statistics(100), fullTriangles: 400 };
+  const final = { ...knownOfOne({ shown, statistics: known }), connection: "connected" as const };
 
   test("says the surface in words", () => {
     const { parts, activity } = summaryOf(final, 100, false, voxels(0.5));
@@ -126,14 +127,14 @@ describe("the top line", () => {
   });
 
   test("counts the full surface of the mesher in use", () => {
-    const all = { ...final, statistics: { ...final.statistics, triangles: 404, mesherTriangles: 404 } };
+    const all = knownOfOne({ shown, statistics: { ...known, triangles: 404, mesherTriangles: 404 } });
     expect(summaryOf(all, 404, false, voxels(0.5)).parts[0]).toBe("404 triangles (all)");
     expect(summaryOf(all, 402, false, voxels(0.5)).parts[0]).toBe("402 of 404 triangles (99 %)");
   });
 
   test("says what goes on", () => {
     expect(summaryOf(final, 50, true, voxels(1))).toEqual({ parts: ["50 triangles so far"], activity: "Working" });
-    expect(summaryOf({ ...INITIAL_STATE, connection: "waiting" }, 0, false, voxels(1))).toEqual({ parts: [], activity: "Reconnecting" });
+    expect(summaryOf({ ...NOTHING_KNOWN, connection: "waiting" }, 0, false, voxels(1))).toEqual({ parts: [], activity: "Reconnecting" });
     expect(summaryOf({ ...final, openedShare: 0.4 }, 0, false, voxels(1)).activity).toBe("Opening, 40 %");
     const preparing = { ...final, openedShare: 0.4, preparing: { done: 12, of: 34 } };
     expect(summaryOf(preparing, 0, false, voxels(1)).activity).toBe("Preparing the device, 12 of 34");
@@ -153,7 +154,7 @@ describe("the top line", () => {
 });
 
 test("a view without a surface is explained", () => {
-  const open = { ...INITIAL_STATE, connection: "connected" as const, volume: VOLUMES[0], view: OPENING, shown: { generation: 1, level: 0, final: true } };
+  const open = { ...NOTHING_KNOWN, connection: "connected" as const, volume: VOLUMES[0], view: OPENING, shown: { generation: 1, level: 0, final: true } };
   expect(hintText(open, false)).toMatch(/^No surface at isovalue 0: no sample on one side of it. Values go from /);
   const values = (value: number, count: number) => {
     const fields = VOLUMES[0]!.fields.map((field) => ({ ...field, range: [value, value] as const, histogram: { min: value, max: value, counts: [count] } }));
@@ -164,7 +165,7 @@ test("a view without a surface is explained", () => {
   const thin = { ...VOLUMES[0]!, geometry: { ...VOLUMES[0]!.geometry, dims: [1, 9, 9] as const } };
   expect(hintText({ ...open, volume: thin }, false)).toMatch(/one sample thin/);
   expect(hintText({ ...open, view: { ...OPENING, minPart: 7 }, statistics: { ...statistics(0), removedParts: 3 } }, false)).toMatch(/All 3 parts are smaller than 7/);
-  expect(hintText({ ...INITIAL_STATE, volumes: [] }, false)).toMatch(/no volumes/);
+  expect(hintText({ ...NOTHING_KNOWN, volumes: [] }, false)).toMatch(/no volumes/);
   expect(hintText(open, true)).toBe("Extracting the surface");
 });
 

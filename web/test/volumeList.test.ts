@@ -5,7 +5,6 @@ import type { AddressInfo } from "node:net";
 import { afterEach, describe, expect, test, vi } from "vitest";
 import { listVolumes } from "../src/net/rest";
 import type { VolumeSummary } from "../src/protocol/types";
-import { Store } from "../src/state/store";
 import type { Actions } from "../src/ui/actions";
 import { Model } from "../src/ui/model";
 import { Connecting } from "../src/wiring/connecting";
@@ -43,7 +42,7 @@ describe("a page that lists the volumes", () => {
 
   test("says so, and offers to try again until it has it", async () => {
     const listed: (readonly VolumeSummary[])[] = [];
-    const model = new Model(new Store(false), {} as Actions);
+    const model = new Model({} as Actions);
     const connecting = new Connecting(model, new URL("http://host/"), (volumes) => listed.push(volumes), () => undefined);
     const answers = [() => Promise.reject(new Error("no way")), () => Promise.reject(new Error("no way")), () => Promise.resolve(Response.json(VOLUMES))];
     vi.stubGlobal("fetch", () => answers.shift()?.());
@@ -61,7 +60,7 @@ describe("a page that lists the volumes", () => {
   });
 
   test("is told which paths the server cannot read, and why", async () => {
-    const model = new Model(new Store(false), {} as Actions);
+    const model = new Model({} as Actions);
     const connecting = new Connecting(model, new URL("http://host/"), () => undefined, () => undefined);
     const unreadable = [{ name: "scan.nii.gz", reason: "file: a Git LFS pointer" }];
     vi.stubGlobal("fetch", (url: URL) => Promise.resolve(Response.json(url.pathname.endsWith("unreadable") ? unreadable : VOLUMES)));

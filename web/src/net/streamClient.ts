@@ -1,11 +1,12 @@
 /**
- * Client of the stream: opens a volume at a step and edits the views of its surfaces. Repeats both on a new connection, merges edits, and sends at
- * most 20 a second of each surface, always including the last one.
+ * Client of the stream: keeps the server at the volume, the step and the surfaces that are wanted. It reads them when it sends something, so it
+ * holds only what it has sent. On a new connection it starts from what the server opens with. It sends at most 20 edits a second of each
+ * surface, always including the last one.
  */
 
-import { hasBudget, withBudget } from "../protocol/budget";
 import { ASKED_CODINGS } from "../protocol/chunk";
 import { parseServerMessage } from "../protocol/messages";
+import { difference, hasBudget, isColorAlone, isNothing, withBudget } from "../protocol/view";
 import type { Capabilities, ClientMessage, Edit, GroupMessage, Question, ServerMessage, StreamMessage, View } from "../protocol/types";
 import { Connection, type ConnectionState } from "./connection";
 import { joining, leadingAgain, type Joined, type Leading } from "./leading";
@@ -14,7 +15,17 @@ import { Throttle } from "./throttle";
 /** 20 edits a second are smooth under a dragged slider; the server would merge more of them anyway. */
 const EDIT_INTERVAL_MS = 50;
 
+/** What the page wants from the server. */
+interface Wanted {
+  /** `undefined` until a volume was chosen. */
+  readonly target: { readonly volume: string; readonly step: number } | undefined;
+  /** The budget of the first counts for all that have one. */
+  readonly surfaces: readonly { readonly number: number; readonly view: View }[];
+}
+
 export interface StreamClientHandlers {
+  /** Read whenever something is to be sent. */
+  readonly wanted: () => Wanted;
   /** `reason`: why the connection was closed, if that is known. */
   readonly onState: (state: ConnectionState, reason: string | undefined) => void;
   /** The server assumes that this client holds nothing: the next prefix is a whole surface. */
@@ -29,25 +40,13 @@ export interface StreamClientHandlers {
   readonly onEditSent: (surface: number) => void;
 }
 
-/** The user's state of a surface. */
-interface WantedSurface {
-  /** Values in force, with edits that were not sent yet. */
-  view: View;
-  /** Edits that were not sent yet, merged; `undefined`: there are none. */
-  unsent: Edit | undefined;
-  /** Whether the server knows it: an edit of it was sent on this connection. */
-  isMade: boolean;
-}
-
 export class StreamClient {
   private readonly connection: Connection;
   private readonly throttle: Throttle;
-  /** The volume and step to open, once known. */
-  private target: { readonly volume: string; readonly step: number } | undefined;
-  /** By their numbers; none until the first `opened` of the target. */
-  private readonly surfaces = new Map<number, WantedSurface>();
-  /** The view that the volume opens with: the view of a new surface is derived from it. */
-  private opening: View | undefined;
+  /** The volume of the last `opened` of this connection. */
+  private volume: string | undefined;
+  /** Views of surfaces as the server has them, by their numbers: those that it opened with, and what was sent since. */
+  private readonly sent = new Map<number, View>();
   /** The server has answered the last `open`. */
   private opened = false;
   /** The server goes to another step of the open volume without opening it again. */
@@ -92,12 +91,7 @@ export class StreamClient {
 
   /** Whether edits wait to be sent. */
   get dirty(): boolean {
-    return [...this.surfaces.values()].some(({ unsent }) => unsent !== undefined);
-  }
-
-  /** Numbers of the surfaces. */
-  get numbers(): readonly number[] {
-    return [...this.surfaces.keys()];
+    return !this.isLed && this.edits().length > 0;
   }
 
   /** Whether the server answered the last `open`. */
@@ -146,62 +140,31 @@ export class StreamClient {
   }
 
   /**
-   * Opens a volume at a time step. Another step of the open volume keeps the edits, and, if the server supports it, the meshes of its
-   * surfaces; another volume starts with its own view.
+   * Opens the wanted volume at the wanted step. Another step of the open volume keeps its surfaces, and, if the server supports it, their
+   * meshes; another volume starts with its own view.
    */
-  open(volume: string, step: number): void {
-    if (this.isLed) return;
-    if (this.opened && this.canStep && this.target?.volume === volume) {
-      this.target = { volume, step };
+  open(): void {
+    const { target } = this.handlers.wanted();
+    if (this.isLed || target === undefined) return;
+    if (this.opened && this.canStep && this.volume === target.volume) {
       this.flush();
-      this.send({ type: "step", step });
+      this.send({ type: "step", step: target.step });
       return;
     }
-    if (this.target?.volume !== volume) {
-      this.surfaces.clear();
-      this.opening = undefined;
-    }
-    this.target = { volume, step };
-    for (const surface of this.surfaces.values()) surface.unsent = undefined;
     this.throttle.cancel();
     this.sendOpen();
   }
 
-  /**
-   * Merges an edit of a surface; it is sent soon. The first edit of a surface makes it. `false` before `opened`: there is no view to
-   * edit yet.
-   */
-  edit(edit: Edit, surface = 0): boolean {
-    const wanted = this.surfaces.get(surface) ?? this.added(surface);
-    if (wanted === undefined) return false;
-    wanted.view = { ...wanted.view, ...edit };
-    wanted.unsent = this.isLed ? undefined : { ...wanted.unsent, ...edit };
-    if (this.isLed) return true;
-    if (edit.triangles !== undefined || edit.bytes !== undefined) this.shareBudget(wanted.view);
-    if (this.opened) this.throttle.call();
-    return true;
-  }
-
-  /** Keeps an edit that changes nothing on the server; it is sent with the others on a new connection. */
-  remember(edit: Edit, surface = 0): void {
-    const wanted = this.surfaces.get(surface);
-    if (wanted !== undefined) wanted.view = { ...wanted.view, ...edit };
-  }
-
-  /**
-   * Removes a surface. Returns whether a request was sent: then its meshes are removed with the answer `removed`; otherwise the server
-   * does not know the surface and does not answer.
-   */
-  remove(surface: number): boolean {
-    const isMade = this.surfaces.get(surface)?.isMade === true;
-    this.surfaces.delete(surface);
-    if (this.isLed) return true;
-    return isMade && this.opened && this.send({ type: "remove", surface });
-  }
-
-  /** The view of a surface, with edits that were not sent yet. */
-  view(surface = 0): View | undefined {
-    return this.surfaces.get(surface)?.view;
+  /** Other surfaces or values are wanted: sends what differs, soon. */
+  follow(): void {
+    if (this.isLed) return this.adopt();
+    this.removeOthers();
+    if (!this.opened) return;
+    for (const { number, view } of this.handlers.wanted().surfaces) {
+      const before = this.sent.get(number);
+      if (before !== undefined && isColorAlone(difference(before, view), before)) this.sent.set(number, view);
+    }
+    if (this.edits().length > 0) this.throttle.call();
   }
 
   /** The first prefix of a generation is on screen. */
@@ -220,7 +183,7 @@ export class StreamClient {
     this.joined = { group, ...(name === undefined ? {} : { name }) };
     this.isLed = true;
     this.throttle.cancel();
-    for (const surface of this.surfaces.values()) surface.unsent = undefined;
+    this.adopt();
     this.send(joining(this.joined));
   }
 
@@ -239,7 +202,8 @@ export class StreamClient {
     }
     // Another member decides which volume is opened.
     if (this.isLed && this.leadAgain()) return;
-    if (this.target !== undefined) this.send({ type: "open", ...this.target, codings: [...ASKED_CODINGS] });
+    const { target } = this.handlers.wanted();
+    if (target !== undefined) this.send({ type: "open", volume: target.volume, step: target.step, codings: [...ASKED_CODINGS] });
   }
 
   /** If this page leads a group, resumes it on this connection. Returns whether it does. */
@@ -258,15 +222,16 @@ export class StreamClient {
     }
     if (message.type === "heartbeat") return this.connection.expectWithin(message.seconds);
     if (this.receiveOfGroup(message)) return;
+    const { target } = this.handlers.wanted();
     if (message.type === "opened") {
       // The reply to an earlier `open`.
-      if (message.volume.id !== this.target?.volume || message.step !== this.target.step) return;
+      if (message.volume.id !== target?.volume || message.step !== target.step) return;
       this.handlers.onReset();
-      this.repeat(message);
+      this.startWith(message);
       return;
     }
     // The replies to earlier steps.
-    if ((message.type === "stepped" || message.type === "described") && message.step !== this.target?.step) return;
+    if ((message.type === "stepped" || message.type === "described") && message.step !== target?.step) return;
     // Messages of a generation that arrive between an `open` and its `opened` belong to the previous volume.
     if (message.type === "committed") this.isShown = true;
     if (message.type === "error" && message.code === "forbidden") {
@@ -281,8 +246,9 @@ export class StreamClient {
     if (message.type === "left") return this.parted(message);
     if (message.type === "error") return (message.code === "unknown-group" || message.code === "group-full") && this.parted(message);
     if (message.type === "group") return this.receiveGroup(message);
-    if (message.type === "led") this.expect(message.volume, message.step);
-    else if (message.type !== "posed") return false;
+    if (message.type !== "led" && message.type !== "posed") return false;
+    // Another volume will be open.
+    if (message.type === "led" && message.volume !== this.volume) this.opened = false;
     this.handlers.onMessage(message);
     return true;
   }
@@ -292,15 +258,6 @@ export class StreamClient {
     if (key !== undefined) [this.leading, this.joined] = [{ group: message.group, key }, undefined];
     this.handlers.onMessage(message);
     return true;
-  }
-
-  /** Another member has opened this volume. */
-  private expect(volume: string, step: number): void {
-    if (this.target?.volume !== volume) {
-      this.opened = false;
-      this.surfaces.clear();
-    }
-    this.target = { volume, step };
   }
 
   /** The page has left its group; the shown surfaces stay. */
@@ -319,69 +276,63 @@ export class StreamClient {
     return true;
   }
 
-  /** The server starts from its own values; the user's replace them, if there are any. */
-  private repeat(message: Extract<ServerMessage, { type: "opened" }>): void {
-    this.opening = message.edit;
+  /** The server starts from its own values; what is wanted differs from them, if there is a link or earlier work. */
+  private startWith(message: Extract<ServerMessage, { type: "opened" }>): void {
     // An older server, without a message for time steps, does not send this capability.
     this.canStep = (message.capabilities as Partial<Capabilities>).steps === true;
-    if (this.isLed) return this.adopt(message);
-    const before = this.surfaces.get(0)?.view ?? {};
-    const view = { ...message.edit, ...before };
-    // The server has surface 0 alone. If it was removed, the remaining surfaces are the user's.
-    for (const [surface, wanted] of this.surfaces) wanted.isMade = surface === 0;
-    if (this.surfaces.size === 0 || this.surfaces.has(0)) this.surfaces.set(0, { view, unsent: undefined, isMade: true });
-    // Edits that the page makes as soon as it knows the volume (a link's values) are part of the first edits.
-    this.handlers.onMessage({ ...message, edit: view });
-    this.opened = true;
-    this.isShown = false;
-    if (!this.surfaces.has(0)) this.send({ type: "remove", surface: 0 });
-    for (const [surface, wanted] of this.surfaces) {
-      const edit = surface === 0 && wanted.isMade ? this.changed(message.edit, { ...before, ...wanted.unsent }) : wanted.view;
-      wanted.unsent = undefined;
-      this.sendEdit(surface, edit);
+    this.volume = message.volume.id;
+    this.sent.clear();
+    if (this.isLed) {
+      this.sent.set(0, message.edit);
+      [this.opened, this.isShown] = [true, true];
+      this.handlers.onMessage(message);
+      return;
     }
+    // The page takes up the volume: what it wants of it is part of the first edits.
+    this.handlers.onMessage(message);
+    this.sent.set(0, message.edit);
+    [this.opened, this.isShown] = [true, false];
+    this.removeOthers();
+    const edits = new Map(this.edits([...this.handlers.wanted().surfaces].sort((a, b) => a.number - b.number)));
+    // An edit without values has the first surface made.
+    if (this.sent.has(0) && !edits.has(0)) this.sendEdit(0, {});
+    for (const [number, edit] of edits) this.sendEdit(number, edit);
     // Only now, as the page has restored its earlier state.
     this.leadAgain();
   }
 
-  /** Returns an empty edit if all values are those that the volume opens with: a user who may only look is refused any other edit. */
-  private changed(opening: View, edit: Edit): Edit {
-    const names = Object.keys(edit) as (keyof Edit)[];
-    return names.every((name) => JSON.stringify(edit[name]) === JSON.stringify(opening[name])) ? {} : edit;
+  /** Another member decides: the server has what is shown. */
+  private adopt(): void {
+    this.sent.clear();
+    for (const { number, view } of this.handlers.wanted().surfaces) this.sent.set(number, view);
   }
 
-  /** Another member has opened it; its surfaces follow. */
-  private adopt(message: Extract<ServerMessage, { type: "opened" }>): void {
-    this.surfaces.clear();
-    this.surfaces.set(0, { view: message.edit, unsent: undefined, isMade: true });
-    [this.opened, this.isShown] = [true, true];
-    this.handlers.onMessage(message);
-  }
-
-  /** A new surface begins as the volume opens, with the budget of the others. */
-  private added(surface: number): WantedSurface | undefined {
-    if (this.opening === undefined || (surface === 0 && this.surfaces.size === 0)) return undefined;
-    const budget = [...this.surfaces.values()].find(({ view }) => hasBudget(view))?.view;
-    const view =
-      budget === undefined
-        ? this.opening
-        : { ...this.opening, beta: undefined, triangles: budget.triangles, bytes: budget.bytes };
-    const wanted = { view, unsent: {}, isMade: false };
-    this.surfaces.set(surface, wanted);
-    return wanted;
-  }
-
-  /** The budget is one for all surfaces that have one. */
-  private shareBudget({ triangles, bytes }: View): void {
-    for (const other of this.surfaces.values()) other.view = withBudget(other.view, { triangles, bytes });
+  /** What the server has to be told of surfaces: all of a new one. */
+  private edits(surfaces = this.handlers.wanted().surfaces): readonly (readonly [number, Edit])[] {
+    const now = new Map(this.sent);
+    const edits: (readonly [number, Edit])[] = [];
+    for (const { number, view } of surfaces) {
+      const before = now.get(number);
+      const edit = before === undefined ? view : difference(before, view);
+      if (isNothing(edit) || isColorAlone(edit, before)) continue;
+      edits.push([number, edit]);
+      take(now, number, edit);
+    }
+    return edits;
   }
 
   private flush(): void {
-    if (!this.opened) return;
-    for (const [surface, wanted] of this.surfaces) {
-      const edit = wanted.unsent;
-      wanted.unsent = undefined;
-      if (edit !== undefined) this.sendEdit(surface, edit);
+    if (!this.opened || this.isLed) return;
+    for (const [number, edit] of this.edits()) this.sendEdit(number, edit);
+  }
+
+  private removeOthers(): void {
+    const { surfaces } = this.handlers.wanted();
+    for (const number of [...this.sent.keys()]) {
+      if (surfaces.some((surface) => surface.number === number)) continue;
+      this.sent.delete(number);
+      // A server that does not know it says nothing of it.
+      if (!this.opened || !this.send({ type: "remove", surface: number })) this.handlers.onMessage({ type: "removed", surface: number });
     }
   }
 
@@ -389,12 +340,18 @@ export class StreamClient {
     // Without a number, the edit is of surface 0.
     const of = surface === 0 ? {} : { surface };
     if (!this.send({ type: "edit", ...of, ...edit })) return;
-    const wanted = this.surfaces.get(surface);
-    if (wanted !== undefined) wanted.isMade = true;
+    take(this.sent, surface, edit);
     this.handlers.onEditSent(surface);
   }
 
   private send(message: ClientMessage): boolean {
     return this.connection.send(JSON.stringify(message));
   }
+}
+
+/** Takes an edit into the views that the server has. A new surface has all values; a budget is one for all surfaces that have one. */
+function take(views: Map<number, View>, surface: number, edit: Edit): void {
+  const view = { ...views.get(surface), ...edit } as View;
+  if (hasBudget(edit)) for (const [number, other] of views) views.set(number, withBudget(other, edit));
+  views.set(surface, view);
 }

@@ -5,8 +5,10 @@ import { dueQuestions, type DueQuestion } from "../state/answers";
 import { MAX_REGIONS, paint } from "../state/interest";
 import { MAX_MEASURES, measureOf, shortened, type Measure } from "../state/measure";
 import { dueErrors } from "../state/shownErrors";
-import { choosePart, isKept, placesOf, type Parts, type PartTool } from "../state/parts";
+import { choosePart, isKept, PARTS_GESTURE, placesOf, type PartTool } from "../state/parts";
+import { brushOf } from "../state/state";
 import type { Store } from "../state/store";
+import type { UserEvent } from "../state/work";
 import { Asker } from "./asker";
 import { centreOf, listenToPicture } from "./pointer";
 import { Prober, type Place, type ProberHandlers } from "./prober";
@@ -14,16 +16,12 @@ import { Prober, type Place, type ProberHandlers } from "./prober";
 /** Callbacks of the page. */
 export interface QuestionPage {
   readonly showProbe: (probed: Probed | undefined) => void;
+  /** Dispatches an event and shows what it changes, if the user may do that. */
+  readonly act: (event: UserEvent) => void;
   /** Adds a point of the transfer function at this value. */
   readonly addPoint: (blended: number) => void;
-  readonly setInterest: (interest: ReturnType<typeof paint>) => void;
-  readonly setParts: (parts: Parts) => void;
-  readonly setMeasures: (measures: readonly Measure[]) => void;
-  /** Points of the current measurement. */
-  readonly setPicked: (points: readonly Vec3[]) => void;
   /** The crosshair of the slices goes there. */
   readonly point: (position: Vec3) => void;
-  readonly endTool: () => void;
   /** Explains why a click did nothing. */
   readonly say: (text: string) => void;
 }
@@ -56,7 +54,7 @@ export class Questions {
       },
       onLeave: () => this.prober.leave(),
       onClick: (place) => void this.use(place),
-      onEscape: () => this.page.endTool(),
+      onEscape: () => this.page.act({ type: "page", layers: { tool: undefined } }),
     });
   }
 
@@ -133,7 +131,7 @@ export class Questions {
     if (this.store.page.tool !== kind) return;
     const points = [...this.store.page.picked, shortened(found.position)];
     const measure = measureOf(kind, points);
-    this.page.setPicked(measure === undefined ? points : []);
+    this.page.act({ type: "page", layers: { picked: measure === undefined ? points : [] } });
     if (measure !== undefined) this.addMeasure(measure);
   }
 
@@ -158,7 +156,7 @@ export class Questions {
   private addMeasure(measure: Measure): void {
     const { measures } = this.store.look;
     if (measures.length >= MAX_MEASURES) return this.page.say(`There are ${MAX_MEASURES} measurements, and no more are taken: remove some`);
-    this.page.setMeasures([...measures, measure]);
+    this.page.act({ type: "look", look: { measures: [...measures, measure] } });
   }
 
   private async pickValue(place: Place): Promise<void> {
@@ -193,14 +191,17 @@ export class Questions {
     if (view === undefined || this.store.page.tool !== tool || this.store.view !== view) return;
     const parts = choosePart(view.parts, tool, { at: shortened(probed.position), number: nearest.part ?? null }, { places, numbers });
     if (typeof parts === "string") return this.page.say(parts);
-    this.page.setParts(parts);
+    this.page.act({ type: "edit", edit: { parts }, gesture: PARTS_GESTURE });
+    this.page.act({ type: "end-gesture" });
+    // One that is chosen beside others is one of them now.
+    if (tool === "keep-another") this.page.act({ type: "page", layers: { tool: undefined, kept: [] } });
   }
 
   private addRegion(position: Vec3): void {
-    const { view, brush } = this.store;
+    const { view, state } = this.store;
     if (view === undefined) return;
-    const interest = paint(view.interest, position, brush);
+    const interest = paint(view.interest, position, brushOf(state));
     if (interest === view.interest) return this.page.say(`There are ${MAX_REGIONS} regions, and no more are taken: remove some`);
-    this.page.setInterest(interest);
+    this.page.act({ type: "edit", edit: { interest } });
   }
 }

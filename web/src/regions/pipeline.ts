@@ -128,6 +128,11 @@ export class RegionPipeline {
     return true;
   }
 
+  /** Removes surfaces of other numbers. */
+  keep(numbers: readonly number[]): void {
+    for (const surface of [...this.maps.keys()]) if (!numbers.includes(surface)) this.event({ type: "removed", surface });
+  }
+
   /** A region mesh is on the GPU. */
   resident(id: ChunkId): void {
     this.arriving.delete(id);

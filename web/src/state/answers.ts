@@ -2,6 +2,7 @@
 
 import type { ConnectionState } from "../net/connection";
 import type { Curve, Distribution, Question, ServerMessage, Statistics, View } from "../protocol/types";
+import { importanceOf } from "../protocol/view";
 import type { Distances } from "./distances";
 
 /** An answer, and what decided it: of another view it is another one. */
@@ -37,8 +38,8 @@ type Asked = keyof Answers;
 
 /** All that decides the curve: budgets and colours do not. */
 function curveKey(view: View, isTreeCut: boolean): string {
-  const { error: _e, triangles: _t, bytes: _b, beta: _β, transferFunction, ...rest } = view;
-  return JSON.stringify([rest, transferFunction.points.map(({ x, importance }) => [x, importance]), isTreeCut]);
+  const { error: _e, triangles: _t, bytes: _b, beta: _β, transferFunction: _f, ...rest } = view;
+  return JSON.stringify([rest, importanceOf(view), isTreeCut]);
 }
 
 /** What decides the answer for the surface on screen; `undefined` while there is none that is final. */

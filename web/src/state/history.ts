@@ -1,84 +1,66 @@
-/** Undo and redo over immutable values. A gesture (a drag, a colour being picked) is one step, however many values it takes. */
-export class History<T> {
-  private past: T[] = [];
-  private future: T[] = [];
+/** Undo and redo over immutable values. A gesture (a drag, a colour being picked) is one step, however many values it takes. Pure. */
+
+export interface History<T> {
+  readonly current: T;
+  readonly past: readonly T[];
+  readonly future: readonly T[];
   /** Value before the gesture under way, and what it changes. */
-  private gesture: { readonly before: T; readonly name: string } | undefined;
+  readonly gesture: { readonly before: T; readonly name: string } | undefined;
+}
 
-  /** `depth`: steps kept; a few hundred small lists are a few hundred kilobytes. */
-  constructor(
-    private value: T,
-    private readonly depth = 200,
-  ) {}
+/** Steps kept; a few hundred small lists are a few hundred kilobytes. */
+const DEPTH = 200;
 
-  get current(): T {
-    return this.value;
-  }
+export function startHistory<T>(current: T): History<T> {
+  return { current, past: [], future: [], gesture: undefined };
+}
 
-  get canUndo(): boolean {
-    return this.past.length > 0 || (this.gesture !== undefined && this.gesture.before !== this.value);
-  }
+/** Adds a value as a step of its own. */
+export function push<T>(history: History<T>, value: T, depth = DEPTH): History<T> {
+  const ended = endGesture(history, depth);
+  return value === ended.current ? ended : { ...remember(ended, ended.current, depth), current: value };
+}
 
-  get canRedo(): boolean {
-    return this.future.length > 0;
-  }
+/** Takes a value inside a gesture; `endGesture`, or a gesture of another name, makes it one step. */
+export function drag<T>(history: History<T>, value: T, name = ""): History<T> {
+  const ended = history.gesture?.name === name ? history : endGesture(history);
+  return { ...ended, current: value, gesture: ended.gesture ?? { before: ended.current, name } };
+}
 
-  /** A step of its own. */
-  set(value: T): void {
-    this.end();
-    if (value === this.value) return;
-    this.remember(this.value);
-    this.value = value;
-  }
+/** Replaces the current value: no step, and nothing is forgotten. */
+export function amend<T>(history: History<T>, value: T): History<T> {
+  return value === history.current ? history : { ...history, current: value };
+}
 
-  /** A value inside a gesture; `end`, or a gesture of another name, makes it one step. */
-  drag(value: T, name = ""): void {
-    if (this.gesture?.name !== name) this.end();
-    this.gesture ??= { before: this.value, name };
-    this.value = value;
-  }
+/** Returns to the value before the gesture of this name, if it is under way: it was no step. */
+export function cancelGesture<T>(history: History<T>, name: string): History<T> {
+  return history.gesture?.name === name ? { ...history, current: history.gesture.before, gesture: undefined } : history;
+}
 
-  /** Another value in place of the current one: no step, and nothing is forgotten. */
-  amend(value: T): void {
-    this.value = value;
-  }
+/** Ends the gesture, if one is under way. */
+export function endGesture<T>(history: History<T>, depth = DEPTH): History<T> {
+  if (history.gesture === undefined) return history;
+  const { before } = history.gesture;
+  const ended = { ...history, gesture: undefined };
+  return before === history.current ? ended : remember(ended, before, depth);
+}
 
-  /** The value before the gesture of this name, if it is under way: it was no step. */
-  cancel(name: string): boolean {
-    if (this.gesture?.name !== name) return false;
-    this.value = this.gesture.before;
-    this.gesture = undefined;
-    return true;
-  }
+export function undo<T>(history: History<T>): History<T> {
+  const ended = endGesture(history);
+  const { current, past, future } = ended;
+  return past.length === 0 ? ended : { ...ended, current: past[past.length - 1] as T, past: past.slice(0, -1), future: [...future, current] };
+}
 
-  /** Ends the gesture, if one is under way. */
-  end(): void {
-    const before = this.gesture?.before;
-    this.gesture = undefined;
-    if (before !== undefined && before !== this.value) this.remember(before);
-  }
+export function redo<T>(history: History<T>): History<T> {
+  const ended = endGesture(history);
+  const { current, past, future } = ended;
+  return future.length === 0 ? ended : { ...ended, current: future[future.length - 1] as T, past: [...past, current], future: future.slice(0, -1) };
+}
 
-  undo(): boolean {
-    this.end();
-    const value = this.past.pop();
-    if (value === undefined) return false;
-    this.future.push(this.value);
-    this.value = value;
-    return true;
-  }
+export function canUndo({ current, past, gesture }: History<unknown>): boolean {
+  return past.length > 0 || (gesture !== undefined && gesture.before !== current);
+}
 
-  redo(): boolean {
-    this.end();
-    const value = this.future.pop();
-    if (value === undefined) return false;
-    this.past.push(this.value);
-    this.value = value;
-    return true;
-  }
-
-  private remember(value: T): void {
-    this.past.push(value);
-    if (this.past.length > this.depth) this.past.shift();
-    this.future = [];
-  }
+function remember<T>(history: History<T>, value: T, depth: number): History<T> {
+  return { ...history, past: [...history.past, value].slice(-depth), future: [] };
 }

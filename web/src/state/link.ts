@@ -8,7 +8,7 @@ import { LinkError, Reader } from "./linkReader";
 import type { Look, Pose } from "./look";
 import { lookParts, readLook } from "./lookLink";
 import { list } from "./numbers";
-import type { Wish } from "./store";
+import { knows, openingLookOf, workOf, type State, type Wish } from "./state";
 import { readSlicing, slicingParts, type Slicing } from "./slicing";
 import { readStoryText, storyText, type Story } from "./story";
 import { readSurface, surfaceParts } from "./surfaceLink";
@@ -35,6 +35,22 @@ export interface LinkState {
   readonly slicing?: Slicing;
   readonly story?: Story | undefined;
   readonly pose: Pose | undefined;
+}
+
+/** The state as a link has it; `undefined` until a volume is open that a link could name. */
+export function linkState(state: State, pose: Pose | undefined): LinkState | undefined {
+  const { opening, page: { slicing, story }, server: { target, volume } } = state;
+  if (opening === undefined || volume === undefined || target?.volume !== volume.id) return undefined;
+  return { volume: volume.id, ...workOf(state), opening, openingLook: openingLookOf(state), slicing, story, pose };
+}
+
+/** The volume that the server brings along, with a part that matters: what importance is for is seen at once. */
+const DEMO = "v=1&volume=mni152&triangles=20000&tf=0,0,3f6f8c;1,0.1,7d2f35&roi=53.7,-26.7,33.5,23,0.95&color=importance&map=ylor&wire=1";
+
+/** The first view of a volume that is opened without a link; `undefined`: as the server opens it, or as it was left. */
+export function firstLink(state: State, volume: string): Link | undefined {
+  const demo = decodeLink(DEMO);
+  return knows(state, volume) || demo?.volume !== volume ? undefined : demo;
 }
 
 type Parts = readonly (readonly [string, string | undefined])[];

@@ -1,5 +1,6 @@
 /** The look in a link: names and values. Pure. */
 
+import { isEqual } from "../protocol/equal";
 import type { Vec3 } from "../protocol/types";
 import { LinkError, toNumber, type Reader } from "./linkReader";
 import { BACKGROUNDS, COLOR_BY, EXAGGERATIONS, levelOf, MAPS, MATERIALS, MAX_ISOLINES, NO_CLIP, NO_SLICES, NO_VOLUME, VOLUME_MODES, type ClipChoice, type Look, type SliceChoice, type VolumeChoice } from "./look";
@@ -21,7 +22,7 @@ const SWITCHES = {
 
 /** Only what differs from how the volume opens. */
 export function lookParts(look: Look, opening: Look): (readonly [string, string | undefined])[] {
-  const differing = <K extends keyof Look>(name: K) => (JSON.stringify(look[name]) === JSON.stringify(opening[name]) ? undefined : look[name]);
+  const differing = <K extends keyof Look>(name: K) => (isEqual(look[name], opening[name]) ? undefined : look[name]);
   const switches = Object.entries(SWITCHES).map(([name, short]) => {
     const value = differing(name as keyof typeof SWITCHES);
     return [short, value === undefined ? undefined : value ? "1" : "0"] as const;

@@ -1,14 +1,13 @@
 /** What one surface has of a budget that several share. Pure. */
 
-import { hasBudget } from "../protocol/budget";
+import { hasBudget } from "../protocol/view";
 import type { Edit, Statistics, TriangleBudget, View } from "../protocol/types";
-import { surfacesOf, type SurfaceState } from "./surfaceState";
 import type { ViewerState } from "./viewer";
 
 type Counts = Pick<Statistics, "triangles" | "fullTriangles">;
 
-function sharers(state: ViewerState): readonly SurfaceState[] {
-  return [...surfacesOf(state).values()].filter(({ view }) => view !== undefined && hasBudget(view));
+function sharers({ surfaces }: ViewerState): ViewerState["surfaces"] {
+  return surfaces.filter(({ view }) => hasBudget(view));
 }
 
 /** How many surfaces share the budget of the selected one; 1 if it has none. */
@@ -26,7 +25,7 @@ export function budgetEdit(state: ViewerState, triangles: TriangleBudget): Edit 
 export function sharedStatistics(state: ViewerState): Statistics | undefined {
   const { statistics } = state;
   if (statistics === undefined || sharerCount(state) < 2) return statistics;
-  const known = sharers(state).flatMap((surface) => surface.statistics ?? []);
+  const known = sharers(state).flatMap(({ number }) => state.known.get(number)?.statistics ?? []);
   const sum = (of: keyof Counts) => known.reduce((total, one) => total + one[of], 0);
   const ofMeshers = known.flatMap(({ mesherTriangles }) => mesherTriangles ?? []);
   const mesherTriangles = ofMeshers.length === known.length ? ofMeshers.reduce((total, one) => total + one, 0) : null;

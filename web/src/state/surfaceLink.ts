@@ -5,9 +5,9 @@ import type { Edit, TransferFunction, View } from "../protocol/types";
 import { LinkError, toNumber, toNumbers, type Reader } from "./linkReader";
 import { digits, list } from "./numbers";
 import { partsText, readParts } from "./parts";
-import type { Wish } from "./store";
+import type { Wish } from "./state";
 import { DEFAULT_STYLE, type Surface, type SurfaceStyle } from "./surfaceList";
-import { difference } from "./view";
+import { difference } from "../protocol/view";
 
 type Part = readonly [string, string | undefined];
 

@@ -1,8 +1,8 @@
 /** The isosurfaces of the open volume as the user wants them: what each shows, and how it looks. Pure. */
 
-import { hasBudget, withBudget } from "../protocol/budget";
+import { hasBudget, withBudget } from "../protocol/view";
 import type { Edit, View } from "../protocol/types";
-import { complete } from "./view";
+import { complete } from "../protocol/view";
 
 /** How one of the surfaces looks; the look has what is common to all. */
 export interface SurfaceStyle {

@@ -1,4 +1,4 @@
-/** What the viewer knows of each surface: the selected one's is at hand, and that of the others beside it. Pure. */
+/** What the server says of one surface. Pure. */
 
 import type { ServerMessage, Statistics, View } from "../protocol/types";
 import type { Answers } from "./answers";
@@ -27,9 +27,7 @@ type Refusal = Extract<ServerMessage, { readonly type: "error" }>;
 
 /** What is known of one surface. */
 export interface SurfaceState {
-  /** Values in force. */
-  readonly view: View | undefined;
-  /** Values of the last edit that was sent. */
+  /** Values in force when the last edit was sent. */
   readonly sentView: View | undefined;
   /** What the server answered about it. */
   readonly answers: Answers;
@@ -48,7 +46,6 @@ export interface SurfaceState {
 }
 
 export const NEW_SURFACE: SurfaceState = {
-  view: undefined,
   sentView: undefined,
   answers: {},
   statistics: undefined,
@@ -59,42 +56,3 @@ export const NEW_SURFACE: SurfaceState = {
   refusal: undefined,
   frameDue: false,
 };
-
-/** A state that has that of its selected surface among its own fields. */
-interface Surfaces extends SurfaceState {
-  readonly selected: number;
-  /** Without the selected one, by their numbers. */
-  readonly others: ReadonlyMap<number, SurfaceState>;
-}
-
-function ofSelected(state: SurfaceState): SurfaceState {
-  const { view, sentView, answers, statistics, finished, working, progress, shown, refusal, frameDue } = state;
-  return { view, sentView, answers, statistics, finished, working, progress, shown, refusal, frameDue };
-}
-
-/** All surfaces by their numbers, which ascend. */
-export function surfacesOf(state: Surfaces): ReadonlyMap<number, SurfaceState> {
-  const all: [number, SurfaceState][] = [...state.others, [state.selected, ofSelected(state)]];
-  return new Map(all.sort(([a], [b]) => a - b));
-}
-
-/** The state with another surface selected; unchanged if there is no surface of that number. */
-export function selectSurface<T extends Surfaces>(state: T, selected: number): T {
-  const there = state.others.get(selected);
-  if (there === undefined) return state;
-  const others = new Map([...state.others, [state.selected, ofSelected(state)] as const]);
-  others.delete(selected);
-  return { ...state, ...there, selected, others };
-}
-
-/** Changes one surface, whichever is selected. What comes of one that was removed changes nothing. */
-export function inSurface<T extends Surfaces>(state: T, number: number, change: (state: T) => T): T {
-  if (number === state.selected) return change(state);
-  if (!state.others.has(number)) return state;
-  return selectSurface(change(selectSurface(state, number)), state.selected);
-}
-
-/** Changes each surface. */
-export function everySurface<T extends Surfaces>(state: T, change: (state: T) => T): T {
-  return [...surfacesOf(state).keys()].reduce((all, number) => inSurface(all, number, change), state);
-}

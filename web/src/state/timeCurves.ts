@@ -1,6 +1,6 @@
 /** What was measured of a surface in every time step: area, volume, and the values at points. Pure. */
 
-import type { Vec3, VolumeInfo } from "../protocol/types";
+import type { Vec3, View, VolumeInfo } from "../protocol/types";
 import { csvText } from "./csv";
 import type { Enclosed } from "./enclosed";
 import { lengthUnit, unitWord } from "./lengths";
@@ -19,8 +19,8 @@ export interface StepRow {
 
 export interface TimeCurves {
   readonly volume: string;
-  /** What the surface was made of, as text: another one has other curves. */
-  readonly of: string;
+  /** What the surface was made of: another one has other curves. */
+  readonly of: View;
   readonly field: string;
   readonly count: number;
   readonly points: readonly Vec3[];

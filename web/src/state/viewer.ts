@@ -1,23 +1,22 @@
-/** What the viewer knows of the server, the open volume and its surfaces on screen. Pure: `reduce` alone makes a new state. */
+/** What the server says of itself, of the open volume and of each surface on screen. Pure. */
 
 import type { ConnectionState } from "../net/connection";
 import type { Capabilities, Preparation, ServerMessage, View, VolumeInfo, VolumeSummary } from "../protocol/types";
-import { sorted } from "../transfer/model";
 import { isAboutQuestion, outdated, take, takeDistances } from "./answers";
 import type { Distances } from "./distances";
-import { everySurface, inSurface, NEW_SURFACE, surfacesOf, type Progress, type ShownPrefix, type SurfaceState } from "./surfaceState";
+import { NEW_SURFACE, type Progress, type ShownPrefix, type SurfaceState } from "./surfaceState";
 
 /** A volume at a time step. */
-interface Target {
+export interface Target {
   readonly volume: string;
   readonly step: number;
 }
 
-export interface ViewerState extends SurfaceState {
+export interface ServerState {
   readonly connection: ConnectionState;
   /** `undefined` until the server has listed them. */
   readonly volumes: readonly VolumeSummary[] | undefined;
-  /** What the user asked for last. */
+  /** What was asked for last. */
   readonly target: Target | undefined;
   /** The server has not answered the last `open` yet. */
   readonly opening: boolean;
@@ -33,9 +32,8 @@ export interface ViewerState extends SurfaceState {
   readonly watches: boolean;
   /** Others can follow. */
   readonly groups: boolean;
-  /** Number of the surface that the fields of `SurfaceState` are about, and the state of the others. */
-  readonly selected: number;
-  readonly others: ReadonlyMap<number, SurfaceState>;
+  /** By the numbers of surfaces, which ascend. */
+  readonly known: ReadonlyMap<number, SurfaceState>;
   /** Surfaces that the server allows. */
   readonly maxSurfaces: number;
   /** Number of the surface that chunks are of. */
@@ -50,13 +48,33 @@ export interface ViewerState extends SurfaceState {
   readonly bytesReceived: number;
 }
 
-export type ViewerEvent =
+/** What is known, with what is known of one surface among the fields. */
+export interface SeenSurface extends ServerState, SurfaceState {
+  readonly selected: number;
+}
+
+/** The same of the selected surface, with the values in force. */
+export interface ViewerState extends SeenSurface {
+  readonly view: View | undefined;
+  readonly surfaces: readonly ViewedSurface[];
+}
+
+/** Values in force of a surface. */
+interface ViewedSurface {
+  readonly number: number;
+  readonly view: View;
+}
+
+/** Which surfaces there are, and which one is selected. */
+interface Viewed {
+  readonly surfaces: readonly ViewedSurface[];
+  readonly selected: number;
+}
+
+/** An event of server, scene or connection. */
+export type ServerEvent =
   | { readonly type: "connection"; readonly state: ConnectionState }
   | { readonly type: "volumes"; readonly volumes: readonly VolumeSummary[] }
-  /** The user asked for a volume or step. */
-  | { readonly type: "open"; readonly target: Target }
-  /** Other surfaces or values are in force: the user changed them. */
-  | { readonly type: "surfaces"; readonly surfaces: readonly { readonly number: number; readonly view: View }[]; readonly selected: number }
   /** An edit of a surface was sent. */
   | { readonly type: "sent"; readonly surface: number; readonly at: number }
   | { readonly type: "message"; readonly message: ServerMessage }
@@ -68,11 +86,14 @@ export type ViewerEvent =
   /** A frame was rendered. */
   | { readonly type: "frame"; readonly at: number };
 
+const SERVER_EVENTS: readonly string[] = ["connection", "volumes", "sent", "message", "chunk", "swap", "distances", "frame"] satisfies ServerEvent["type"][];
+
+export const isOfServer = (event: { readonly type: string }): event is ServerEvent => SERVER_EVENTS.includes(event.type);
+
 /** What of an `open` is in the state after its answer. */
 const ANSWERED = { opening: false, openedShare: undefined, preparing: undefined } as const;
 
-export const INITIAL_STATE: ViewerState = {
-  ...NEW_SURFACE,
+export const FIRST_SERVER: ServerState = {
   ...ANSWERED,
   connection: "connecting",
   volumes: undefined,
@@ -81,8 +102,7 @@ export const INITIAL_STATE: ViewerState = {
   stepLabel: undefined,
   watches: false,
   groups: false,
-  selected: 0,
-  others: new Map(),
+  known: new Map([[0, NEW_SURFACE]]),
   maxSurfaces: 1,
   receiving: 0,
   questions: [],
@@ -91,20 +111,17 @@ export const INITIAL_STATE: ViewerState = {
   bytesReceived: 0,
 };
 
-export function reduce(state: ViewerState, event: ViewerEvent): ViewerState {
+/** @param viewed the surfaces at the time of the event */
+export function reduceServer(state: ServerState, event: ServerEvent, viewed: Viewed): ServerState {
   switch (event.type) {
     case "connection":
       return everySurface({ ...state, connection: event.state }, (one) => ({ ...one, working: event.state === "connected" && one.working }));
     case "volumes":
       return { ...state, volumes: event.volumes };
-    case "open":
-      return everySurface({ ...state, target: event.target, ...ANSWERED, opening: true }, (one) => ({ ...one, refusal: undefined }));
-    case "surfaces":
-      return arranged(state, event);
     case "sent":
-      return inSurface({ ...state, editSentAt: event.at }, event.surface, (one) => ({ ...one, working: true, refusal: undefined, sentView: one.view }));
+      return inSurface({ ...state, editSentAt: event.at }, event.surface, (one) => ({ ...one, working: true, refusal: undefined, sentView: viewOf(viewed, event.surface) }));
     case "message":
-      return receive(state, event.message);
+      return receive(state, event.message, viewed.selected);
     case "chunk":
       return inSurface({ ...state, bytesReceived: state.bytesReceived + event.bytes }, state.receiving, (one) => ({
         ...one,
@@ -115,20 +132,45 @@ export function reduce(state: ViewerState, event: ViewerEvent): ViewerState {
       return inSurface(state, event.surface, (one) => ({ ...one, shown: { generation, level, final }, frameDue: true }));
     }
     case "distances":
-      return inSurface(state, event.surface, (one) => ({ ...one, answers: takeDistances(one, event.generation, event.distances) }));
+      return inSurface(state, event.surface, (one) => ({ ...one, answers: takeDistances(seen(state, event.surface), event.generation, event.distances) }));
     case "frame":
       return everySurface(state, (one) => frame(one, event.at));
   }
 }
 
-/** What is known of a surface that stays is kept. */
-function arranged(state: ViewerState, { surfaces, selected }: Extract<ViewerEvent, { type: "surfaces" }>): ViewerState {
-  if (state.view === undefined) return state;
-  const known = surfacesOf(state);
-  const others = new Map(surfaces.map(({ number, view }) => [number, { ...(known.get(number) ?? NEW_SURFACE), view }] as const));
-  const now = others.get(selected);
-  others.delete(selected);
-  return { ...state, ...now, selected, others };
+/** The user, or another member of the group, asked for a volume or step. */
+export function openTarget(state: ServerState, target: Target): ServerState {
+  return everySurface({ ...state, target, ...ANSWERED, opening: true }, (one) => ({ ...one, refusal: undefined }));
+}
+
+/** Keeps what is known of the surfaces of these numbers alone. */
+export function keepSurfaces(state: ServerState, numbers: readonly number[]): ServerState {
+  const { known } = state;
+  if (numbers.length === known.size && numbers.every((number) => known.has(number))) return state;
+  const ascending = [...numbers].sort((a, b) => a - b);
+  return { ...state, known: new Map(ascending.map((number) => [number, known.get(number) ?? NEW_SURFACE])) };
+}
+
+export function seen(state: ServerState, number: number): SeenSurface {
+  return { ...state, ...(state.known.get(number) ?? NEW_SURFACE), selected: number };
+}
+
+export function viewerOf(state: ServerState, viewed: Viewed): ViewerState {
+  return { ...seen(state, viewed.selected), view: viewOf(viewed), surfaces: viewed.surfaces };
+}
+
+const viewOf = ({ surfaces, selected }: Viewed, number = selected) => surfaces.find((surface) => surface.number === number)?.view;
+
+/** Changes one surface. What comes of one that was removed changes nothing. */
+function inSurface(state: ServerState, number: number, change: (one: SurfaceState) => SurfaceState): ServerState {
+  const one = state.known.get(number);
+  return one === undefined ? state : { ...state, known: new Map([...state.known]).set(number, change(one)) };
+}
+
+/** Changes each surface; the state stays the same object if none of them changes. */
+function everySurface(state: ServerState, change: (one: SurfaceState) => SurfaceState): ServerState {
+  const changed = [...state.known].map(([number, one]) => [number, change(one)] as const);
+  return changed.every(([number, one]) => one === state.known.get(number)) ? state : { ...state, known: new Map(changed) };
 }
 
 /** How much of what an `open` takes is done: of the preparation of the device, or then of the bytes. */
@@ -136,7 +178,7 @@ function share(device: Preparation | undefined, { bytes, totalBytes }: { readonl
   return device === undefined ? bytes / Math.max(1, totalBytes) : device.done / Math.max(1, device.of);
 }
 
-function receive(state: ViewerState, message: ServerMessage): ViewerState {
+function receive(state: ServerState, message: ServerMessage, selected: number): ServerState {
   switch (message.type) {
     case "opening":
       return { ...state, preparing: message.device, openedShare: share(message.device, message) };
@@ -147,16 +189,16 @@ function receive(state: ViewerState, message: ServerMessage): ViewerState {
     case "described":
       return state.volume?.id === message.volume.id ? { ...state, volume: message.volume } : state;
     case "prefix":
-      return inSurface({ ...state, receiving: message.surface }, message.surface, (one) => begun(one, message.generation));
+      return inSurface({ ...state, receiving: message.surface }, message.surface, (one) => begun(one, message.generation, state.editSentAt));
     case "done":
       return inSurface(state, message.surface, (one) => ({ ...one, working: false, statistics: message.statistics, finished: message.generation }));
     case "measured":
       return inSurface(state, message.surface, (one) => measured(one, message));
     case "error":
-      return isAboutQuestion(message) ? state : refused(state, message);
+      return isAboutQuestion(message) ? state : refused(state, message, selected);
     case "removed":
       // If there is a surface of that number, the user has made it again.
-      return inSurface(state, message.surface, (one) => ({ ...one, ...NEW_SURFACE, view: one.view, sentView: one.sentView, working: true }));
+      return inSurface(state, message.surface, (one) => ({ ...NEW_SURFACE, sentView: one.sentView, working: true }));
     case "group":
     case "led":
     case "posed":
@@ -169,54 +211,51 @@ function receive(state: ViewerState, message: ServerMessage): ViewerState {
       return state;
     case "distribution":
     case "curve":
-      return inSurface(state, message.surface, (one) => ({ ...one, answers: take(one, message) }));
+      return inSurface(state, message.surface, (one) => ({ ...one, answers: take(seen(state, message.surface), message) }));
   }
 }
 
-function opened(state: ViewerState, { volume, edit, device, capabilities }: Extract<ServerMessage, { type: "opened" }>): ViewerState {
-  const sameVolume = state.volume?.id === volume.id;
-  const view = { ...edit, transferFunction: { points: sorted(edit.transferFunction.points) } };
+function opened(state: ServerState, { volume, device, capabilities }: Extract<ServerMessage, { type: "opened" }>): ServerState {
   // A server from before there were questions or several surfaces does not name them.
   const { questions = [], surfaces = 1, watches = false, groups = false } = capabilities as Partial<Capabilities>;
   const stepLabel = volume.times?.label;
   const now = { ...state, ...ANSWERED, volume, stepLabel, device, questions, watches, groups, maxSurfaces: surfaces };
-  if (!sameVolume) return { ...now, ...NEW_SURFACE, selected: 0, others: new Map(), view };
+  if (state.volume?.id !== volume.id) return { ...now, known: FIRST_SERVER.known };
   // Another step replaces a surface when it arrives, another volume at once.
-  const all = everySurface(now, (one) => ({ ...one, sentView: undefined, answers: outdated(one.answers), progress: undefined, finished: undefined }));
-  return inSurface(all, 0, (one) => ({ ...one, view }));
+  return everySurface(now, (one) => ({ ...one, sentView: undefined, answers: outdated(one.answers), progress: undefined, finished: undefined }));
 }
 
 /** After a time step, all surfaces are computed again; each is replaced when it arrives. */
-function stepped(state: ViewerState, label: string | null): ViewerState {
+function stepped(state: ServerState, label: string | null): ServerState {
   const now = { ...state, ...ANSWERED, stepLabel: label ?? undefined };
   return everySurface(now, (one) => ({ ...one, working: true, answers: outdated(one.answers), progress: undefined, finished: undefined }));
 }
 
 /** After a generation is done, a better surface of the same view may follow: the one on screen is finished all the same. */
-function begun(state: ViewerState, generation: number): ViewerState {
-  return { ...state, working: state.working || generation !== state.finished, progress: progressOf(state, generation) };
+function begun(state: SurfaceState, generation: number, sentAt: number): SurfaceState {
+  return { ...state, working: state.working || generation !== state.finished, progress: progressOf(state, generation, sentAt) };
 }
 
 /** An error names its surface if a generation failed. Any other error is about the last edit, or about `open`. */
-function refused(state: ViewerState, message: Extract<ServerMessage, { type: "error" }>): ViewerState {
+function refused(state: ServerState, message: Extract<ServerMessage, { type: "error" }>, selected: number): ServerState {
   const now = { ...state, ...ANSWERED };
-  const fail = (one: ViewerState): ViewerState => ({ ...one, working: false, refusal: message });
+  const fail = (one: SurfaceState): SurfaceState => ({ ...one, working: false, refusal: message });
   if (message.surface !== undefined) return inSurface(now, message.surface, fail);
-  return fail(everySurface(now, (one) => ({ ...one, working: false })));
+  return inSurface(everySurface(now, (one) => ({ ...one, working: false })), selected, fail);
 }
 
 /** The statistics get the error that was measured after them. */
-function measured(state: ViewerState, { generation, error }: Extract<ServerMessage, { type: "measured" }>): ViewerState {
+function measured(state: SurfaceState, { generation, error }: Extract<ServerMessage, { type: "measured" }>): SurfaceState {
   if (state.statistics === undefined || state.finished !== generation) return state;
   return { ...state, statistics: { ...state.statistics, error } };
 }
 
-function progressOf(state: ViewerState, generation: number): Progress {
+function progressOf(state: SurfaceState, generation: number, sentAt: number): Progress {
   if (state.progress?.generation === generation) return state.progress;
-  return { generation, startedAt: state.editSentAt, bytes: 0, firstMs: undefined, lastMs: undefined };
+  return { generation, startedAt: sentAt, bytes: 0, firstMs: undefined, lastMs: undefined };
 }
 
-function frame(state: ViewerState, at: number): ViewerState {
+function frame(state: SurfaceState, at: number): SurfaceState {
   const { progress, shown, frameDue } = state;
   if (!frameDue) return state;
   if (progress === undefined || progress.generation !== shown?.generation) return { ...state, frameDue: false };
@@ -227,32 +266,31 @@ function frame(state: ViewerState, at: number): ViewerState {
 }
 
 /** The generations whose first frame lies between the two states and shows a prefix before the final surface. */
-export function firstCoarseFrames(before: ViewerState, after: ViewerState): readonly number[] {
-  const earlier = surfacesOf(before);
-  return [...surfacesOf(after)].flatMap(([number, { progress, shown }]) => {
-    if (progress?.firstMs === undefined || earlier.get(number)?.progress?.firstMs !== undefined) return [];
+export function firstCoarseFrames(before: ServerState, after: ServerState): readonly number[] {
+  return [...after.known].flatMap(([number, { progress, shown }]) => {
+    if (progress?.firstMs === undefined || before.known.get(number)?.progress?.firstMs !== undefined) return [];
     return shown?.final === false ? [progress.generation] : [];
   });
 }
 
-const all = (state: ViewerState) => [...surfacesOf(state).values()];
+const all = (state: ServerState) => [...state.known.values()];
 
 /** The final surfaces are on screen. */
-export function showsFinal(state: ViewerState): boolean {
+export function showsFinal(state: ServerState): boolean {
   return all(state).every(({ shown, frameDue }) => shown?.final === true && !frameDue);
 }
 
 /** Something is to be seen in the next frame. */
-export function isFrameDue(state: ViewerState): boolean {
+export function isFrameDue(state: ServerState): boolean {
   return all(state).some(({ frameDue }) => frameDue);
 }
 
 /** The generation of an edit of any surface is not done. */
-export function isWorking(state: ViewerState): boolean {
+export function isWorking(state: ServerState): boolean {
   return all(state).some(({ working }) => working);
 }
 
 /** This generation is not done. */
-export function isUnderWay(state: ViewerState, generation: number): boolean {
+export function isUnderWay(state: ServerState, generation: number): boolean {
   return all(state).some(({ working, progress }) => working && progress?.generation === generation);
 }

@@ -96,13 +96,6 @@ export function recolorPoint(points: Points, index: number, color: string): Poin
   return point === undefined ? points : points.with(index, { ...point, color });
 }
 
-/** Whether both give the same importance, and so the same surface; colours may differ. */
-export function sameImportance(a: Points, b: Points): boolean {
-  return (
-    a.length === b.length && a.every((p, i) => p.x === b[i]?.x && p.importance === b[i].importance)
-  );
-}
-
 /** For a message: numbers rounded to five decimals. */
 export function toWire(points: Points): TransferFunction {
   const round = (value: number) => Math.round(value * 1e5) / 1e5;

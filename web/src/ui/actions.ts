@@ -1,9 +1,10 @@
 /** What the user can do: the app does it. */
 
 import type { Edit, Vec3, View } from "../protocol/types";
+import type { Compared } from "../state/comparing";
 import type { GroupAct } from "../state/group";
 import type { Look } from "../state/look";
-import type { PageLayers } from "../state/store";
+import type { PageLayers } from "../state/page";
 import type { SurfaceList, SurfaceStyle } from "../state/surfaceList";
 import type { Points } from "../transfer/model";
 import type { AxisName } from "../world/axes";
@@ -47,6 +48,8 @@ export interface Actions {
   readonly retry: () => void;
   /** `undefined`: no longer. */
   readonly compare: (what: Compared | undefined) => void;
+  /** Asks again for slices that are not there. */
+  readonly retrySlices: () => void;
   readonly saveImage: (request: ImageRequest) => void;
   /** Saves `frames` images around the surface. Another call while it runs ends it. */
   readonly saveTurn: (request: ImageRequest, frames: number) => void;
@@ -75,8 +78,6 @@ export type StoryAct =
   | { readonly type: "record"; readonly format: StoryFormat; readonly request: ImageRequest }
   | { readonly type: "stop" };
 
-/** What is compared: edits with what was before, the decimated surface with the full one, or the surface with importance and without. */
-export type Compared = "edit" | "full" | "importance";
 
 /** What an image shows besides the surface. */
 export interface ImageRequest {

@@ -2,6 +2,7 @@
 
 import { For, Show } from "solid-js";
 import { COLOR_MAPS } from "../colors/maps";
+import { withRanges } from "../state/featureRanges";
 import { coloredByLook } from "../state/surfaceList";
 import { fieldBarOf, fieldScaleOf, valueAt, type FieldScale } from "./cards/fieldColors";
 import { digitsBetween, formatValue } from "./format";
@@ -19,8 +20,8 @@ const NEAREST = 0.01;
 const GESTURE = "color-range";
 
 function useFieldScale() {
-  const { look, ranged, selected, surfaces, viewer } = useModel();
-  const view = () => coloredByLook(ranged(viewer(), surfaces()), selected()?.number ?? 0)?.view;
+  const { look, selected, surfaces, viewer } = useModel();
+  const view = () => coloredByLook(withRanges(viewer(), surfaces()), selected()?.number ?? 0)?.view;
   const scale = () => {
     const of = view();
     return of && fieldScaleOf(look(), of);

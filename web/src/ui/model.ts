@@ -1,19 +1,18 @@
 /** What the page's components see and do. The app fills it; components read it as signals, so that only what differs is written. */
 
-import { createContext, createSignal, useContext, type Accessor } from "solid-js";
+import { createContext, createMemo, createRoot, createSignal, useContext, type Accessor } from "solid-js";
 import type { NamedFile, UploadPhase } from "../net/uploads";
-import type { JobInfo, Probed, SessionInfo, UploadInfo, UploadList, View, VolumeInfo } from "../protocol/types";
+import { isEqual } from "../protocol/equal";
+import type { JobInfo, Probed, SessionInfo, UploadInfo, UploadList } from "../protocol/types";
 import type { Enclosed } from "../state/enclosed";
 import type { GroupState } from "../state/group";
 import { lengthScale, type LengthScale } from "../state/lengths";
-import type { Look } from "../state/look";
 import { has, LACKING, type Role } from "../state/roles";
-import type { PageLayers, Store } from "../state/store";
-import type { Surface, SurfaceList } from "../state/surfaceList";
+import { brushOf, canRedoIn, canUndoIn, extentOf, FIRST_STATE, surfaceOf, viewerIn, workOf, type State } from "../state/state";
+import type { SliceState } from "../state/slicing";
 import type { TimeCurves } from "../state/timeCurves";
-import { INITIAL_STATE, type ViewerState } from "../state/viewer";
-import type { Actions, Compared, MeshFormat } from "./actions";
-import { SlicesBeside } from "./slicePanel/beside";
+import type { ViewerState } from "../state/viewer";
+import type { Actions, MeshFormat } from "./actions";
 
 /** What can be done with volumes that the user brings. */
 export interface UploadActions {
@@ -101,160 +100,91 @@ export interface Connection {
 const MAX_TOASTS = 4;
 const BRIEF_MS = 4000;
 
-const same = { equals: (a: unknown, b: unknown) => JSON.stringify(a) === JSON.stringify(b) };
+const equals = { equals: isEqual };
+
+/** A value that components read as a signal and others set. */
+export interface Cell<T> extends Accessor<T> {
+  readonly set: (value: T) => void;
+}
+
+function cell<T>(first: T, options?: typeof equals): Cell<T> {
+  const [get, set] = createSignal(first, options);
+  return Object.assign(() => get(), { set: (value: T) => void set(() => value) });
+}
+
+const NO_FACTS: SurfaceFacts = { levelTriangles: [], levelTrianglesBySurface: [], busy: false };
+
+/** A memo that lives as long as the page. */
+const memo = <T>(get: () => T, options?: typeof equals): Accessor<T> => createRoot(() => createMemo(get, undefined, options));
 
 export class Model {
-  readonly viewer: Accessor<ViewerState>;
-  readonly facts: Accessor<SurfaceFacts>;
-  readonly volume: Accessor<VolumeInfo | undefined>;
+  /** The state that is shown: what the user changes at once, what server and scene report a while later. */
+  private readonly now = cell(FIRST_STATE);
+  private readonly reported = cell(FIRST_STATE);
+  readonly viewer: Accessor<ViewerState> = memo(() => viewerIn(this.reported()));
+  readonly facts = cell(NO_FACTS, equals);
+  readonly volume = this.part((state) => state.server.volume);
   /** Of the selected surface. */
-  readonly view: Accessor<View | undefined>;
-  readonly surfaces: Accessor<SurfaceList>;
-  readonly selected: Accessor<Surface | undefined>;
-  readonly look: Accessor<Look>;
-  readonly page: Accessor<PageLayers>;
+  readonly view = this.part((state) => surfaceOf(state)?.view);
+  readonly surfaces = this.part((state) => workOf(state).surfaces);
+  readonly selected = this.part(surfaceOf);
+  readonly look = this.part((state) => workOf(state).look);
+  readonly page = this.part((state) => state.page);
   /** The time step that is wanted. */
-  readonly step: Accessor<number>;
-  readonly history: Accessor<{ readonly canUndo: boolean; readonly canRedo: boolean }>;
-  /** What lies under the pointer. */
-  readonly probe: Accessor<Probed | undefined>;
-  /** The value at which a point was picked on the surface; a further pick is a further object. */
-  readonly picked: Accessor<{ readonly x: number } | undefined>;
+  readonly step = this.part((state) => workOf(state).step);
+  readonly history = this.part((state) => ({ canUndo: canUndoIn(state), canRedo: canRedoIn(state) }), equals);
   /** Radius of the brush, and the volume's longest side, world units. */
-  readonly brush: Accessor<number>;
-  readonly extent: Accessor<number>;
-  readonly toasts: Accessor<readonly Toast[]>;
-  readonly connection: Accessor<Connection>;
+  readonly brush = this.part(brushOf);
+  readonly extent = this.part(extentOf);
+  /** What is compared; `waiting` for the full surface. */
+  readonly comparing = this.part(({ comparing }) => (comparing?.isWaiting === true ? "waiting" : comparing?.kind));
+  /** What lies under the pointer. */
+  readonly probe = cell<Probed | undefined>(undefined);
+  /** The value at which a point was picked on the surface; a further pick is a further object. */
+  readonly picked = cell<{ readonly x: number } | undefined>(undefined);
+  readonly toasts = cell<readonly Toast[]>([]);
+  readonly connection = cell<Connection>({ isConnected: false, reason: undefined });
+  /** Slices beside the picture, by the axes across them. */
+  readonly slices = cell<readonly SliceState[]>([]);
+  /** Share of a turntable that is made; `undefined` while none is. */
+  readonly turning = cell<number | undefined>(undefined);
+  /** `undefined` while nothing is uploaded. */
+  readonly uploading = cell<Uploading | undefined>(undefined);
+  /** Of the surface on screen; `undefined` until the user asks. */
+  readonly enclosed = cell<Enclosed | "summing" | undefined>(undefined);
+  /** What the user may do; `undefined` until the server has said it. */
+  readonly session = cell<SessionInfo | undefined>(undefined, equals);
+  /** The group that the page is in. */
+  readonly group = cell<GroupState | undefined>(undefined, equals);
+  /** The bookmark that a story shows; `undefined` while none is played. */
+  readonly telling = cell<Told | undefined>(undefined);
+  /** What was measured over time; `undefined` until the user asks. */
+  readonly curves = cell<TimeCurves | undefined>(undefined);
   /** Set before the page is shown. */
   uploads: UploadActions | undefined;
   jobs: JobActions | undefined;
-  readonly beside = new SlicesBeside();
   sums: SurfaceSums | undefined;
-  /** Surfaces with the ranges of features that the server has chosen. Set before the page is shown. */
-  ranged = (_: ViewerState, surfaces: SurfaceList): SurfaceList => surfaces;
   /** Frames are rendered by a GPU: there are effects on screen. */
   onGpu = false;
   /** Told of each error that is shown. */
   onError: ((text: string) => void) | undefined;
-  /** Share of a turntable that is made; `undefined` while none is. */
-  readonly turning: Accessor<number | undefined>;
-  /** `undefined` while nothing is uploaded. */
-  readonly uploading: Accessor<Uploading | undefined>;
-  /** What is compared; `waiting` for the full surface. */
-  readonly comparing: Accessor<Compared | "waiting" | undefined>;
-  /** Of the surface on screen; `undefined` until the user asks. */
-  readonly enclosed: Accessor<Enclosed | "summing" | undefined>;
-  /** What the user may do; `undefined` until the server has said it. */
-  private readonly session: Accessor<SessionInfo | undefined>;
-  /** The group that the page is in. */
-  readonly group: Accessor<GroupState | undefined>;
-  /** The bookmark that a story shows; `undefined` while none is played. */
-  readonly telling: Accessor<Told | undefined>;
-  /** What was measured over time; `undefined` until the user asks. */
-  readonly curves: Accessor<TimeCurves | undefined>;
-  private readonly set;
 
-  constructor(
-    store: Store,
-    readonly actions: Actions,
-  ) {
-    const [viewer, setViewer] = createSignal(INITIAL_STATE);
-    const [facts, setFacts] = createSignal<SurfaceFacts>({ levelTriangles: [], levelTrianglesBySurface: [], busy: false }, same);
-    const [volume, setVolume] = createSignal<VolumeInfo>();
-    const [view, setView] = createSignal<View>();
-    const [surfaces, setSurfaces] = createSignal(store.surfaces);
-    const [selected, setSelected] = createSignal(store.surface);
-    const [look, setLook] = createSignal(store.look);
-    const [page, setPage] = createSignal(store.page);
-    const [step, setStep] = createSignal(store.step);
-    const [history, setHistory] = createSignal({ canUndo: false, canRedo: false }, same);
-    const [probe, showProbe] = createSignal<Probed>();
-    const [picked, setPicked] = createSignal<{ readonly x: number }>();
-    const [brush, setBrush] = createSignal(store.brush);
-    const [extent, setExtent] = createSignal(store.extent);
-    const [toasts, setToasts] = createSignal<readonly Toast[]>([]);
-    const [connection, setConnection] = createSignal<Connection>({ isConnected: false, reason: undefined });
-    [this.viewer, this.facts, this.volume, this.view, this.look] = [viewer, facts, volume, view, look];
-    [this.surfaces, this.selected] = [surfaces, selected];
-    this.step = step;
-    [this.page, this.history, this.toasts, this.connection] = [page, history, toasts, connection];
-    [this.probe, this.picked, this.brush, this.extent] = [probe, picked, brush, extent];
-    const [turning, setTurning] = createSignal<number>();
-    const [uploading, setUploading] = createSignal<Uploading>();
-    this.uploading = uploading;
-    const [comparing, setComparing] = createSignal<Compared | "waiting">();
-    const [enclosed, setEnclosed] = createSignal<Enclosed | "summing">();
-    [this.turning, this.comparing, this.enclosed] = [turning, comparing, enclosed];
-    const [telling, setTelling] = createSignal<Told>();
-    this.telling = telling;
-    const [curves, setCurves] = createSignal<TimeCurves>();
-    this.curves = curves;
-    const [group, setGroup] = createSignal<GroupState | undefined>(undefined, same);
-    const [session, setSession] = createSignal<SessionInfo | undefined>(undefined, same);
-    [this.group, this.session] = [group, session];
-    this.set = { setTelling, setCurves, setGroup, setSession, setUploading, setStep, setSurfaces, setSelected, showProbe, setPicked, setBrush, setExtent, setTurning, setComparing, setEnclosed, setViewer, setFacts, setVolume, setView, setLook, setPage, setHistory, setToasts, setConnection };
+  constructor(readonly actions: Actions) {}
+
+  /** A part of what the user changes; it changes when it is another object. */
+  private part<T>(select: (state: State) => T, options?: typeof equals): Accessor<T> {
+    return memo(() => select(this.now()), options);
   }
 
   /** What the user has changed is shown at once. */
-  showWork({ viewer, view, surfaces, surface, look, page, step, brush, extent, canUndo, canRedo }: Store): void {
-    const { set } = this;
-    set.setVolume(viewer.volume);
-    set.setSurfaces(surfaces);
-    set.setSelected(surface);
-    set.setView(view);
-    set.setLook(look);
-    set.setPage(page);
-    set.setStep(step);
-    set.setBrush(brush);
-    set.setExtent(extent);
-    set.setHistory({ canUndo, canRedo });
+  showWork(state: State): void {
+    this.now.set(state);
   }
 
   /** What server and scene report, of which there is much during an edit. */
-  showProgress(viewer: ViewerState, facts: SurfaceFacts): void {
-    this.set.setViewer(viewer);
-    this.set.setFacts(facts);
-  }
-
-  showProbe(probed: Probed | undefined): void {
-    this.set.showProbe(probed);
-  }
-
-  /** The editor adds a point at this value. */
-  pick(x: number): void {
-    this.set.setPicked({ x });
-  }
-
-  showTurning(share: number | undefined): void {
-    this.set.setTurning(share);
-  }
-
-  showUploading(uploading: Uploading | undefined): void {
-    this.set.setUploading(uploading);
-  }
-
-  showComparing(what: Compared | "waiting" | undefined): void {
-    this.set.setComparing(what);
-  }
-
-  showEnclosed(enclosed: Enclosed | "summing" | undefined): void {
-    this.set.setEnclosed(enclosed);
-  }
-
-  showTelling(told: Told | undefined): void {
-    this.set.setTelling(told);
-  }
-
-  showCurves(curves: TimeCurves): void {
-    this.set.setCurves(curves);
-  }
-
-  showGroup(group: GroupState | undefined): void {
-    this.set.setGroup(group);
-  }
-
-  showSession(session: SessionInfo): void {
-    this.set.setSession(session);
+  showProgress(state: State, facts: SurfaceFacts): void {
+    this.reported.set(state);
+    this.facts.set(facts);
   }
 
   /** Whether the user may do what a role is for. */
@@ -270,10 +200,6 @@ export class Model {
   /** Whether the server takes volumes of the user; until it has said so, it may. */
   takesUploads(): boolean {
     return this.session()?.uploads !== false;
-  }
-
-  showConnection(connection: Connection): void {
-    this.set.setConnection(connection);
   }
 
   /** An error, unless it says how long it stays. */
@@ -307,7 +233,7 @@ export class Model {
 
   private addToast(toast: Toast): void {
     const others = this.toasts().filter(({ text }) => text !== toast.text);
-    this.set.setToasts([...others, toast].slice(-MAX_TOASTS));
+    this.toasts.set([...others, toast].slice(-MAX_TOASTS));
   }
 
   /** Something that the user may not do: the message stays beyond the next surface, and the embedding page is notified. */
@@ -329,12 +255,12 @@ export class Model {
   };
 
   dismiss(text: string): void {
-    this.set.setToasts(this.toasts().filter((toast) => toast.text !== text));
+    this.toasts.set(this.toasts().filter((toast) => toast.text !== text));
   }
 
   /** Errors do not outlive the surface that follows them. */
   clearErrors(): void {
-    this.set.setToasts(this.toasts().filter((toast) => toast.good));
+    this.toasts.set(this.toasts().filter((toast) => toast.good));
   }
 }
 

@@ -6,7 +6,7 @@ import type { Distances } from "../state/distances";
 import type { LengthScale } from "../state/lengths";
 import type { awaitedErrors } from "../state/shownErrors";
 import type { SurfaceList } from "../state/surfaceList";
-import { surfacesOf, type SurfaceState } from "../state/surfaceState";
+import type { SurfaceState } from "../state/surfaceState";
 import type { ViewerState } from "../state/viewer";
 import type { Uploading } from "./model";
 import { surfaceName } from "./surfaceNames";
@@ -68,7 +68,7 @@ export function summaryOf(state: ViewerState, triangles: number, busy: boolean, 
 }
 
 function surfaceParts(state: ViewerState, triangles: number, busy: boolean, scale: LengthScale): string[] {
-  const all = [...surfacesOf(state).values()];
+  const all = [...state.known.values()];
   if (all.every(({ shown }) => shown === undefined)) return [];
   const several = all.length > 1 ? [`${all.length} surfaces`] : [];
   const known = all.flatMap(({ shown, statistics }) => (shown?.final === true && statistics !== undefined ? [statistics] : []));
@@ -188,4 +188,10 @@ export function uploadText({ title, files, phase, sent, total }: Uploading): str
 /** Of a volume that was removed from the server while it was shown. */
 export function removedText(title: string | undefined): string {
   return `${title === undefined ? "This volume" : `“${title}”`} was removed from the server, or has expired there`;
+}
+
+/** A link names a volume that is not on this server. `shown`: what is open instead, by its id. */
+export function unknownVolumeText({ volumes }: Pick<ViewerState, "volumes">, id: string, shown: string | undefined): string {
+  const instead = volumes?.find((volume) => volume.id === shown)?.title;
+  return `There is no volume “${id}” on this server${instead === undefined ? "" : `. Shown instead: ${instead}`}`;
 }

@@ -4,7 +4,7 @@ import { extract } from "../net/rest";
 import { volumeName } from "../state/fileNames";
 import { labelsName } from "../state/labels";
 import type { Store } from "../state/store";
-import { selectSurface } from "../state/surfaceState";
+import { viewerOf } from "../state/viewer";
 import { linearColor } from "../transfer/model";
 import { formatValue } from "../ui/format";
 import type { Model } from "../ui/model";
@@ -21,7 +21,7 @@ export async function downloadAll(model: Model, store: Store, base: URL, cap = f
     const { joinGlb } = await import("../net/glb");
     const parts = [];
     for (const surface of surfaces) {
-      const view = exportedView(selectSurface(viewer, surface.number), cap && surface.view.mesher === "dual");
+      const view = exportedView(viewerOf(viewer, { surfaces: store.surfaces, selected: surface.number }), cap && surface.view.mesher === "dual");
       if (view === undefined) continue;
       const color = colorOf(surface, look);
       const file = await (await extract(base, target.volume, target.step, "glb", view)).arrayBuffer();

@@ -1,5 +1,6 @@
 /** Batch jobs of the page: submits the view that is shown for chosen isovalues, and saves results. */
 
+import { isEqual } from "../protocol/equal";
 import type { JobRequest } from "../net/jobs";
 import type { JobInfo } from "../protocol/types";
 import { volumeName } from "../state/fileNames";
@@ -11,9 +12,9 @@ import { exportedView, saveFile } from "../ui/takeAlong";
 
 export class BatchJobs implements JobActions {
   /** A request that had no answer, and its key: sent again it makes no second job. */
-  private unanswered: { readonly text: string; readonly key: string } | undefined;
+  private unanswered: { readonly request: JobRequest; readonly key: string } | undefined;
   /** The last one that was submitted, until it is cancelled or deleted, has failed, or is no longer listed. */
-  private last: { readonly text: string; readonly id: string } | undefined;
+  private last: { readonly request: JobRequest; readonly id: string } | undefined;
 
   constructor(
     private readonly store: Store,
@@ -38,7 +39,7 @@ export class BatchJobs implements JobActions {
     const { volume, step } = viewer.target;
     const request = { volume, extractions: isovalues.map((iso) => ({ ...view, iso, step, format })) };
     // Enter is easily pressed twice.
-    if (this.last?.text === JSON.stringify(request)) return this.model.toast("This job is submitted already: change isovalues, format or settings for another one", "brief");
+    if (isEqual(this.last?.request, request)) return this.model.toast("This job is submitted already: change isovalues, format or settings for another one", "brief");
     await this.try("The job was not submitted", async () => this.model.toast(submittedText(await this.send(request)), "brief"));
   }
 
@@ -62,12 +63,11 @@ export class BatchJobs implements JobActions {
 
   private async send(request: JobRequest): Promise<JobInfo> {
     const { submitJob } = await import("../net/jobs");
-    const text = JSON.stringify(request);
-    const { key } = this.unanswered?.text === text ? this.unanswered : { key: randomKey() };
-    this.unanswered = { text, key };
+    const { key } = this.unanswered !== undefined && isEqual(this.unanswered.request, request) ? this.unanswered : { key: randomKey() };
+    this.unanswered = { request, key };
     const job = await submitJob(this.base, request, key);
     this.unanswered = undefined;
-    this.last = { text, id: job.id };
+    this.last = { request, id: job.id };
     return job;
   }
 

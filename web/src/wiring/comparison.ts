@@ -1,84 +1,50 @@
 /** Two pictures side by side: before and after edits, the full surfaces and the decimated ones, or with importance and without. */
 
-import type { Edit, View } from "../protocol/types";
 import type { SurfaceRenderer } from "../scene/renderer";
-import { complete } from "../state/view";
+import type { Compared, Comparing } from "../state/comparing";
+import type { Store } from "../state/store";
 import { formatCount } from "../ui/format";
-import type { Compared } from "../ui/actions";
 
-export interface ComparisonHandlers {
-  /** `wanted` says otherwise than before. */
-  readonly ask: () => void;
-  readonly onChange: (state: Compared | "waiting" | undefined) => void;
-}
-
-const FULL: Edit = complete({ triangles: { share: 1 } });
 const NAMES = { edit: ["before", "now"], full: ["full", "decimated"], importance: ["with importance", "without"] } as const;
 
-/** A view of as many triangles in which everything is as important. */
-function withoutImportance(view: View, triangles: number): View {
-  const points = view.transferFunction.points.map((point) => ({ ...point, importance: 0 }));
-  return { ...view, ...complete({ triangles }), transferFunction: { points }, interest: [] };
-}
-
-
 export class Comparison {
-  private kind: Compared | undefined;
-  private waiting = false;
-  /** Triangles of the kept picture. */
-  private kept = 0;
-  private texts = "";
+  /** What is said of the surface now; `undefined`: nothing. */
+  private now: string | undefined;
 
+  /** @param change changes what is compared */
   constructor(
     private readonly scene: SurfaceRenderer,
-    private readonly handlers: ComparisonHandlers,
+    private readonly store: Pick<Store, "state">,
+    private readonly change: (comparing: Comparing | undefined) => void,
   ) {}
 
   /** Keeps what is shown now to compare it with edits or with the same budget without importance, or fetches the full surface to compare with. */
   start(kind: Compared): void {
     if (this.scene.regionCount === 0) return;
     this.end();
-    this.kind = kind;
-    if (kind !== "full") {
-      this.keep();
-      return kind === "importance" ? this.handlers.ask() : undefined;
-    }
-    this.waiting = true;
-    this.handlers.onChange("waiting");
-    this.handlers.ask();
-  }
-
-  /** What the server is asked for in place of values in force, which the user sees: the full surface while it is fetched, or none of the importance. */
-  wanted(view: View): View {
-    if (this.kind === "importance") return withoutImportance(view, this.kept);
-    return this.waiting ? { ...view, ...FULL } : view;
+    if (kind === "full") this.change({ kind, isWaiting: true, kept: 0 });
+    else this.keep(kind);
   }
 
   end(): void {
-    if (this.kind === undefined) return;
-    const isReplaced = this.waiting || this.kind === "importance";
-    this.kind = undefined;
-    this.texts = "";
-    this.waiting = false;
-    if (isReplaced) this.handlers.ask();
+    if (this.store.state.comparing === undefined) return;
+    this.now = undefined;
+    this.change(undefined);
     this.scene.release();
-    this.handlers.onChange(undefined);
   }
 
   /** Something may have come. `settled`: all that was asked for is on screen. */
   advance(settled: boolean): void {
-    if (this.waiting && settled) {
-      this.waiting = false;
-      this.keep();
-      this.handlers.ask();
-    } else if (this.kind !== undefined && !this.waiting) this.show();
+    const { comparing } = this.store.state;
+    if (comparing?.isWaiting === false) this.show(comparing);
+    else if (comparing !== undefined && settled) this.keep(comparing.kind);
   }
 
-  private keep(): void {
-    this.kept = this.shown;
+  private keep(kind: Compared): void {
+    const comparing = { kind, isWaiting: false, kept: this.shown };
     this.scene.keep();
-    this.show();
-    this.handlers.onChange(this.kind);
+    this.show(comparing);
+    this.change(comparing);
   }
 
   private get shown(): number {
@@ -86,13 +52,11 @@ export class Comparison {
   }
 
   /** Says what is on both sides; what it says already costs no frame. */
-  private show(): void {
-    if (this.kind === undefined) return;
-    const [before, after] = NAMES[this.kind];
-    const texts = { kept: `${before} · ${formatCount(this.kept)} triangles`, now: `${after} · ${formatCount(this.shown)} triangles` };
-    const text = JSON.stringify(texts);
-    if (text === this.texts) return;
-    this.texts = text;
-    this.scene.swipe(this.scene.annotations.swipe.value ?? 0.5, texts);
+  private show({ kind, kept }: Comparing): void {
+    const [before, after] = NAMES[kind];
+    const now = `${after} · ${formatCount(this.shown)} triangles`;
+    if (now === this.now) return;
+    this.now = now;
+    this.scene.swipe(this.scene.annotations.swipe.value ?? 0.5, { kept: `${before} · ${formatCount(kept)} triangles`, now });
   }
 }

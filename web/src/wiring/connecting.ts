@@ -1,5 +1,6 @@
 /** Shows the state of the connection, and lists the volumes each time that it is made. */
 
+import { isEqual } from "../protocol/equal";
 import type { ConnectionState } from "../net/connection";
 import { listUnreadable, listVolumes } from "../net/rest";
 import { isRefused, sessionOf, signInOf } from "../net/session";
@@ -15,8 +16,7 @@ export class Connecting {
   private watching: ReturnType<typeof setInterval> | undefined;
   /** The server was asked and has not answered yet. */
   private isLooking = false;
-  /** The last list, as text. */
-  private listed = "";
+  private listed: readonly VolumeSummary[] | undefined;
 
   /**
    * @param onVolumes the server's volumes, each time that the connection is made
@@ -34,16 +34,16 @@ export class Connecting {
     const { model } = this;
     const isConnected = state === "connected";
     const { reason: before, signIn } = model.connection();
-    model.showConnection({ isConnected, reason: state === "waiting" ? reason : before, ...(signIn === undefined ? {} : { signIn }) });
+    model.connection.set({ isConnected, reason: state === "waiting" ? reason : before, ...(signIn === undefined ? {} : { signIn }) });
     if (state === "waiting") void this.explain();
     if (!isConnected) return;
-    model.showConnection({ isConnected, reason: undefined });
+    model.connection.set({ isConnected, reason: undefined });
     void this.loadVolumes();
     void sessionOf(this.base).then((session) => {
-      if (session !== undefined && session !== "refused") model.showSession(session);
+      if (session !== undefined && session !== "refused") model.session.set(session);
     });
     void signInOf(this.base).then((signIn) => {
-      if (signIn !== undefined && model.connection().isConnected) model.showConnection({ isConnected, reason: undefined, canSignOut: true });
+      if (signIn !== undefined && model.connection().isConnected) model.connection.set({ isConnected, reason: undefined, canSignOut: true });
     });
   }
 
@@ -53,18 +53,18 @@ export class Connecting {
     if (!(await isRefused(base)) || model.connection().isConnected) return;
     const elsewhere = this.onRefused();
     if (elsewhere !== undefined) {
-      model.showConnection({ isConnected: false, reason: elsewhere });
+      model.connection.set({ isConnected: false, reason: elsewhere });
       return;
     }
     const signIn = await signInOf(base);
     if (model.connection().isConnected) return;
     if (signIn === undefined) {
-      model.showConnection({ isConnected: false, reason: NO_TOKEN });
+      model.connection.set({ isConnected: false, reason: NO_TOKEN });
       return;
     }
     const { issuer, href, refusal } = signIn;
     const before = refusal === undefined ? "" : `You were not signed in: ${refusal}. `;
-    model.showConnection({ isConnected: false, reason: `${before}Sign in at ${new URL(issuer).host} to use this server`, signIn: href });
+    model.connection.set({ isConnected: false, reason: `${before}Sign in at ${new URL(issuer).host} to use this server`, signIn: href });
   }
 
   /** Asks again and again while the page is seen. */
@@ -80,11 +80,11 @@ export class Connecting {
     this.isLooking = true;
     const volumes = await listVolumes(this.base).catch(() => undefined);
     this.isLooking = false;
-    if (volumes !== undefined && JSON.stringify(volumes) !== this.listed) this.take(volumes);
+    if (volumes !== undefined && !isEqual(volumes, this.listed)) this.take(volumes);
   }
 
   private take(volumes: readonly VolumeSummary[]): void {
-    this.listed = JSON.stringify(volumes);
+    this.listed = volumes;
     this.onVolumes(volumes);
   }
 

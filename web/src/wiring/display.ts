@@ -1,5 +1,6 @@
 /** Shows the look in the scene: colours, what is cut away, slices, what is drawn beside the surface. */
 
+import { isEqual } from "../protocol/equal";
 import { COLOR_MAPS, colorAt, colorTable, DISTANCE_COLORS } from "../colors/maps";
 import type { TransferFunction, View, VolumeInfo } from "../protocol/types";
 import type { ColoredRegion } from "../scene/coloredRegions";
@@ -91,8 +92,8 @@ export class Display {
   private readonly shown = new Map<number, Surface>();
   /** What the colour bar says: control points, the field that matters and its range, the volume. */
   private bar: readonly unknown[] | undefined;
-  /** Scales of the fields of surfaces, as text. */
-  private readonly fields = new Map<number, string>();
+  /** Scales of the fields of surfaces. */
+  private readonly fields = new Map<number, FieldScale>();
   private readonly slices: SliceLoader;
   private readonly volume: VolumeDisplay;
   private unit: string | undefined;
@@ -174,11 +175,10 @@ export class Display {
   }
 
   private showField(number: number, scale: FieldScale): void {
-    const lines = linePlaces(scale);
-    const asText = JSON.stringify([scale, lines]);
-    if (this.fields.get(number) === asText) return;
-    this.fields.set(number, asText);
-    this.scene.colors.setField({ ...scale, lines }, number);
+    const field = { ...scale, lines: linePlaces(scale) };
+    if (isEqual(this.fields.get(number), field)) return;
+    this.fields.set(number, field);
+    this.scene.colors.setField(field, number);
   }
 
   /** What was removed is not seen any more, though its meshes are there until the server has removed it too. */

@@ -1,5 +1,6 @@
 /** Serves the requests of the embedding page. */
 
+import { isEqual } from "../protocol/equal";
 import { HostPort, type HostEvent, type PageState } from "../embed/hostPort";
 import type { EmbedOptions } from "../embed/origins";
 import { RequestError, type HostRequest } from "../embed/requests";
@@ -7,7 +8,6 @@ import type { SurfaceRenderer } from "../scene/renderer";
 import { allTriangles } from "../state/counts";
 import { changedLink, decodeLink, encodeLink, type Link, type LinkState } from "../state/link";
 import type { Store } from "../state/store";
-import { surfacesOf } from "../state/surfaceState";
 import type { Model } from "../ui/model";
 import { EmbedToken } from "./embedToken";
 import type { Framing } from "./framing";
@@ -41,7 +41,7 @@ export class Embedding {
   private readonly token: EmbedToken;
   private isReady = false;
   /** What the embedding page was last told to be on screen. */
-  private settled = "";
+  private settled: unknown;
 
   constructor(
     { origins, problems }: EmbedOptions,
@@ -75,9 +75,9 @@ export class Embedding {
       this.port.emit({ type: "ready", volumes: volumes.map(({ id, title }) => ({ id, title })) });
     }
     if (!isSettled) return;
-    const surfaces = [...surfacesOf(store.viewer)].map(([number, { shown, statistics }]) => [number, shown?.generation, statistics?.isTreeCut]);
-    const now = JSON.stringify([target, surfaces]);
-    if (now === this.settled) return;
+    const surfaces = [...store.viewer.known].map(([number, { shown, statistics }]) => [number, shown?.generation, statistics?.isTreeCut]);
+    const now = [target, surfaces];
+    if (isEqual(now, this.settled)) return;
     this.settled = now;
     this.port.emit({ type: "settled", ...this.state(true) } satisfies HostEvent);
   }
@@ -85,7 +85,7 @@ export class Embedding {
   private state(settled: boolean): PageState {
     const { scene, store, link } = this.parts;
     const state = link();
-    const all = [...surfacesOf(store.viewer).values()];
+    const all = [...store.viewer.known.values()];
     const known = all.flatMap(({ statistics }) => (statistics === undefined ? [] : allTriangles(statistics)));
     return {
       link: state === undefined ? null : encodeLink(state),

@@ -3,7 +3,6 @@
 import type { SurfaceRenderer } from "../scene/renderer";
 import type { Vec3 } from "../protocol/types";
 import type { Pose } from "../state/look";
-import type { Actions } from "../ui/actions";
 import type { AxisName } from "../world/axes";
 
 export class Framing {
@@ -70,15 +69,4 @@ export class Framing {
     this.times += 1;
     this.onMove();
   }
-}
-
-/** The page's actions on the camera, which does not exist until the page has been made. */
-export function framingActions(framing: () => Framing): Pick<Actions, "fit" | "home" | "lookFrom" | "facing" | "featureSpan"> {
-  return {
-    fit: () => framing().fit(),
-    home: () => framing().home(),
-    lookFrom: (axis) => framing().lookFrom(axis),
-    featureSpan: (number) => framing().featureSpan(number),
-    facing: (normal) => framing().facing(normal),
-  };
 }

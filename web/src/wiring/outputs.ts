@@ -24,7 +24,7 @@ export class Outputs {
   saveImage(request: ImageRequest): void {
     void this.save("png", async () => {
       const { makeImage } = await import("./imageMaker");
-      return makeImage(this.scene, this.store, request, this.model.beside.slices);
+      return makeImage(this.scene, this.store, request, this.model.slices());
     });
   }
 
@@ -34,13 +34,13 @@ export class Outputs {
     const { model, scene, store } = this;
     const turn = new AbortController();
     this.turn = turn;
-    model.showTurning(0);
+    model.turning.set(0);
     void this.save("zip", async () => {
       const { makeTurn } = await import("./imageMaker");
-      return makeTurn(scene, store, request, frames, (done) => model.showTurning(done / frames), turn.signal);
+      return makeTurn(scene, store, request, frames, (done) => model.turning.set(done / frames), turn.signal);
     }, turn.signal).finally(() => {
       this.turn = undefined;
-      model.showTurning(undefined);
+      model.turning.set(undefined);
     });
   }
 

@@ -1,5 +1,6 @@
 /** Plays time steps: the next one is asked for when the last is on screen, so that none waits in line. */
 
+import type { PageLayers } from "../state/page";
 import type { Store } from "../state/store";
 import { nextStep, stepCount } from "../state/timeSteps";
 
@@ -7,6 +8,7 @@ interface PlayerHandlers {
   /** The step that was asked for last is on screen, as a whole. */
   readonly isShown: () => boolean;
   readonly go: (step: number) => void;
+  readonly change: (player: PageLayers["player"]) => void;
   readonly onStop: () => void;
 }
 
@@ -16,7 +18,7 @@ export class Player {
   private wasPlaying = false;
 
   constructor(
-    private readonly store: Pick<Store, "page" | "viewer" | "step" | "changePage">,
+    private readonly store: Pick<Store, "page" | "viewer" | "step">,
     private readonly on: PlayerHandlers,
     private readonly now: () => number = () => performance.now(),
   ) {}
@@ -42,16 +44,11 @@ export class Player {
     }, wait);
   }
 
-  /** A user who prefers reduced motion gets a slide show, until they choose another speed. */
-  slow(): void {
-    this.store.changePage({ player: { ...this.store.page.player, speed: 1 } });
-  }
-
   /** As the user does with the button. */
   stop(): void {
     const { player } = this.store.page;
     if (!player.playing) return;
-    this.store.changePage({ player: { ...player, playing: false } });
+    this.on.change({ ...player, playing: false });
     this.follow();
   }
 

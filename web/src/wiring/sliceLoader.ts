@@ -1,5 +1,6 @@
 /** Gets the planes of samples that the look asks for. One request is on its way at a time; of those that come meanwhile the last one counts. */
 
+import { isEqual } from "../protocol/equal";
 import { fetchSlice, type Plane } from "../net/slices";
 import type { VolumeInfo } from "../protocol/types";
 import type { Slice } from "../scene/slices";
@@ -23,7 +24,7 @@ export class SliceLoader {
   private wanted: { readonly choice: SliceChoice; readonly source: SliceSource } | undefined;
   private planes: readonly Plane[] = [];
   /** What `planes` are of. */
-  private loaded = keyOf(undefined);
+  private loaded: ReturnType<typeof keyOf> = keyOf(undefined);
   private loading = false;
   private shown: readonly unknown[] = [];
 
@@ -46,11 +47,11 @@ export class SliceLoader {
     this.loading = true;
     try {
       // Until what is loaded is what is wanted.
-      for (let key = keyOf(this.wanted); key !== this.loaded; key = keyOf(this.wanted)) {
+      for (let key = keyOf(this.wanted); !isEqual(key, this.loaded); key = keyOf(this.wanted)) {
         const planes = await this.request();
         this.planes = planes;
         this.loaded = key;
-        if (key === keyOf(this.wanted)) this.place();
+        if (isEqual(key, keyOf(this.wanted))) this.place();
       }
     } catch (error) {
       this.planes = [];
@@ -72,7 +73,7 @@ export class SliceLoader {
   private place(): void {
     if (this.wanted === undefined) return;
     const { choice, source } = this.wanted;
-    const planes = sourceOf(this.loaded) === sourceOf(keyOf(this.wanted)) ? this.planes : [];
+    const planes = isEqual(this.loaded.source, keyOf(this.wanted).source) ? this.planes : [];
     const [black, white] = choice.window ?? openingWindow(source.volume, source.field, () => planes.map(({ samples }) => samples));
     const state = [black, white, ...planes];
     if (state.length === this.shown.length && state.every((value, i) => value === this.shown[i])) return;
@@ -86,13 +87,11 @@ export class SliceLoader {
 
 type Wanted = { readonly choice: SliceChoice; readonly source: SliceSource };
 
-function keyOf(wanted: Wanted | undefined): string {
-  if (wanted === undefined) return "\n[]";
+function keyOf(wanted: Wanted | undefined) {
+  if (wanted === undefined) return { source: undefined, planes: [] };
   const { volume, step, field } = wanted.source;
-  return `${JSON.stringify([volume.id, step, field])}\n${JSON.stringify(planesOf(wanted.choice, volume))}`;
+  return { source: { volume: volume.id, step, field }, planes: planesOf(wanted.choice, volume) };
 }
-
-const sourceOf = (key: string) => key.slice(0, key.indexOf("\n"));
 
 /** Positions of the samples of a plane, if they are not even. */
 function linesOf({ axes }: Plane, uneven: Uneven | undefined): Pick<Slice, "lines"> {

@@ -5,7 +5,9 @@
 
 import { fetchSlice, type Plane, type PlaneRequest } from "../net/slices";
 import type { Vec3, VolumeInfo } from "../protocol/types";
-import type { LoadedSlice, SliceState } from "../state/slicing";
+import { crosshairOf, fieldsOf, pointed, type LoadedSlice, type SliceState, type Slicing } from "../state/slicing";
+import type { Store } from "../state/store";
+import { indexAt } from "../world/places";
 
 /** The slices to show. */
 export interface SlicesWanted {
@@ -13,6 +15,17 @@ export interface SlicesWanted {
   readonly step: number;
   readonly fields: readonly string[];
   readonly at: Vec3;
+}
+
+/** What the store says is to be shown beside the picture; `undefined`: nothing. */
+export function slicesWanted({ isEmbedded, page: { slicing }, surfaces, view, viewer: { target, volume } }: Store): SlicesWanted | undefined {
+  if (slicing.layout === "picture" || isEmbedded || view === undefined || volume === undefined || target?.volume !== volume.id) return undefined;
+  return { volume, step: target.step, fields: fieldsOf(slicing, view.field, surfaces), at: crosshairOf(slicing, volume.geometry.dims) };
+}
+
+/** The slices with their crosshair at a place of the world. */
+export function slicingAt({ page: { slicing }, viewer: { volume } }: Store, position: Vec3): Slicing {
+  return volume === undefined ? slicing : pointed(slicing, volume.geometry.dims, indexAt(volume.geometry, position));
 }
 
 /** Between two requests for the slices across an axis. */

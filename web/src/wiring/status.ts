@@ -4,7 +4,6 @@ import type { StreamClient } from "../net/streamClient";
 import type { RegionPipeline } from "../regions/pipeline";
 import type { SurfaceRenderer } from "../scene/renderer";
 import type { Store } from "../state/store";
-import { surfacesOf } from "../state/surfaceState";
 import type { Model } from "../ui/model";
 import type { IsopeelStatus } from "../ui/statusHook";
 import type { Framing } from "./framing";
@@ -24,7 +23,7 @@ interface StatusParts {
 export function statusOf({ store, model, scene, framing, pipeline, client }: StatusParts, settled: boolean): IsopeelStatus {
   const { surfaces, viewer } = store;
   const { levelTriangles, levelTrianglesBySurface } = scene;
-  const states = surfacesOf(viewer);
+  const states = viewer.known;
   return {
     connection: viewer.connection,
     volume: viewer.volume?.id,

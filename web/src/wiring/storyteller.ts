@@ -88,7 +88,7 @@ export class Storyteller {
       for (let i = from; i < story.length; i += 1) {
         const bookmark = story[i];
         if (bookmark === undefined) break;
-        model.showTelling({ index: i, text: bookmark.text });
+        model.telling.set({ index: i, text: bookmark.text });
         await this.turnTo(bookmark, medium, signal, i === from ? MOVE_SECONDS / 2 : MOVE_SECONDS);
         signal.throwIfAborted();
         await medium.pass(readingSeconds(bookmark.text), undefined, bookmark.text);
@@ -112,7 +112,7 @@ export class Storyteller {
     } finally {
       if (this.running === running) {
         this.running = undefined;
-        model.showTelling(undefined);
+        model.telling.set(undefined);
       }
     }
   }

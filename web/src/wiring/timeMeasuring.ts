@@ -1,6 +1,7 @@
 /** Goes through all time steps once and measures the surface in each: the same as the user would do by hand. Loaded when it is asked for. */
 
 import type { Probed, Vec3 } from "../protocol/types";
+import { isSameSurface } from "../protocol/view";
 import { enclosedOf, type Enclosed } from "../state/enclosed";
 import type { Store } from "../state/store";
 import { MAX_CURVE_POINTS, type StepRow, type TimeCurves } from "../state/timeCurves";
@@ -18,11 +19,6 @@ export interface TimeMeasuringHandlers {
   readonly fail: (reason: string) => void;
 }
 
-/** Key of the values that make the selected surface. */
-function surfaceKey({ view, viewer }: Pick<Store, "view" | "viewer">): string {
-  return JSON.stringify([viewer.volume?.id, { ...view, transferFunction: view?.transferFunction.points.map(({ x, importance }) => [x, importance]) }]);
-}
-
 export class TimeMeasuring {
   private curves: TimeCurves | undefined;
   private isBusy = false;
@@ -37,7 +33,7 @@ export class TimeMeasuring {
     const { look, view, viewer } = this.store;
     if (view === undefined || viewer.volume === undefined || this.curves?.isRunning === true) return;
     const points = look.measures.flatMap((measure) => (measure.kind === "reading" ? measure.points : [])).slice(0, MAX_CURVE_POINTS);
-    this.show({ volume: viewer.volume.id, of: surfaceKey(this.store), field: view.field, count: stepCount(viewer), points, rows: [], isRunning: true });
+    this.show({ volume: viewer.volume.id, of: view, field: view.field, count: stepCount(viewer), points, rows: [], isRunning: true });
     this.on.go(0);
     this.follow();
   }
@@ -55,8 +51,10 @@ export class TimeMeasuring {
     if (curves?.isRunning !== true || this.isBusy) return;
     const next = curves.rows.length;
     // The surface or the time step was changed by other means.
-    if (curves.of !== surfaceKey(store) || store.step !== next) return this.giveUp(curves);
-    if (store.viewer.target?.step === next && this.on.isShown()) void this.measure(curves, next);
+    const { view, viewer } = store;
+    const isSame = curves.volume === viewer.volume?.id && view !== undefined && isSameSurface(curves.of, view);
+    if (!isSame || store.step !== next) return this.giveUp(curves);
+    if (viewer.target?.step === next && this.on.isShown()) void this.measure(curves, next);
   }
 
   private giveUp(curves: TimeCurves): void {

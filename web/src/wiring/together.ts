@@ -3,6 +3,7 @@
 import { keepLeading, takeLeading } from "../net/leading";
 import type { StreamClient } from "../net/streamClient";
 import { Throttle } from "../net/throttle";
+import { isEqual } from "../protocol/equal";
 import type { Led, Posed, ServerMessage, View } from "../protocol/types";
 import type { CameraPose } from "../scene/pose";
 import type { SurfaceRenderer } from "../scene/renderer";
@@ -10,9 +11,10 @@ import { groupLink, groupNews, groupOf, isLed, type GroupAct, type GroupState } 
 import { decodeLink, encodeLink, type Link, type LinkState } from "../state/link";
 import { LinkError } from "../state/linkReader";
 import { FIRST_SLICING } from "../state/slicing";
+import type { StateEvent } from "../state/reduce";
+import { openingLookOf } from "../state/state";
 import type { Store } from "../state/store";
 import { DEFAULT_STYLE } from "../state/surfaceList";
-import type { ViewerEvent } from "../state/viewer";
 import { sorted } from "../transfer/model";
 import type { Model } from "../ui/model";
 import { copyOut } from "../ui/takeAlong";
@@ -30,21 +32,19 @@ interface Around {
   readonly framing: Framing;
   readonly client: StreamClient;
   readonly link: () => LinkState | undefined;
-  readonly dispatch: (event: ViewerEvent) => void;
-  /** Does something to the store, and shows what it has changed. */
-  readonly adopt: (act: () => void) => void;
+  /** Dispatches an event, and shows what it has changed. */
+  readonly change: (event: StateEvent) => void;
   /** There is nothing to follow: something else is to be opened. */
   readonly alone: () => void;
 }
 
 export class Together {
-  private group: GroupState | undefined;
   private led: Led | undefined;
   private posed: Posed | undefined;
   /** On this connection. */
   private isIn = false;
   private sentPage = "";
-  private sentCamera = "";
+  private sentCamera: CameraPose | undefined;
   private name: string | undefined;
   private readonly throttle = new Throttle(POSE_INTERVAL_MS, () => this.send());
 
@@ -55,6 +55,10 @@ export class Together {
     for (const type of ["pointerdown", "wheel", "keydown"] as const) viewport.addEventListener(type, () => this.lookAround(), { passive: true, capture: true });
     window.addEventListener("hashchange", () => this.join());
     if (!around.store.isEmbedded) this.leadOverReloads();
+  }
+
+  private get group(): GroupState | undefined {
+    return this.around.model.group();
   }
 
   /** What another shows is shown, or is going to be. */
@@ -126,7 +130,7 @@ export class Together {
 
   /** The connection was lost: the client joins or leads the group again on the next one, if the group still exists. */
   lost(): void {
-    [this.isIn, this.sentPage, this.sentCamera] = [false, "", ""];
+    [this.isIn, this.sentPage, this.sentCamera] = [false, "", undefined];
   }
 
   /** Something is shown otherwise than before. */
@@ -136,27 +140,26 @@ export class Together {
 
   /** Shows here what the leader is shown, if the leader's volume is open. */
   take(): void {
-    const { store, adopt, dispatch } = this.around;
+    const { store, change } = this.around;
     const { led } = this;
     const { target, volume } = store.viewer;
     if (led === undefined || !this.follows) return;
-    if (target?.volume !== led.volume || target.step !== led.step) return dispatch({ type: "open", target: { volume: led.volume, step: led.step } });
+    if (target?.volume !== led.volume || target.step !== led.step) return store.dispatch({ type: "open", target: { volume: led.volume, step: led.step } });
     if (volume?.id !== led.volume || led.surfaces.length === 0) return;
     const link = this.linkOf(led.volume);
     const surfaces = led.surfaces.map(({ surface, edit }, at) => ({ number: surface, view: viewOf(edit as View), style: { ...DEFAULT_STYLE, ...link?.surfaces[at]?.style } }));
     const selected = (surfaces[link?.selected ?? 0] ?? surfaces[0])?.number ?? 0;
-    const look = link === undefined ? store.look : { ...store.openingLook, ...link.look };
-    adopt(() => store.adopt({ surfaces, selected, step: led.step, look }, link && (link.slicing ?? FIRST_SLICING)));
+    const look = link === undefined ? store.look : { ...openingLookOf(store.state), ...link.look };
+    change({ type: "adopt", work: { surfaces, selected, step: led.step, look }, slicing: link && (link.slicing ?? FIRST_SLICING) });
   }
 
   private entered(message: Extract<ServerMessage, { type: "group" }>): void {
     this.isIn = true;
     const before = this.group?.group === message.group ? this.group : undefined;
     this.around.model.say(groupNews(before, message));
-    if (before === undefined) [this.sentPage, this.sentCamera] = ["", ""];
-    if (isLed(before) && !isLed(message)) [this.sentPage, this.sentCamera] = ["", ""];
-    this.group = { ...message, isApart: isLed(message) && before?.isApart === true };
-    this.around.model.showGroup(this.group);
+    if (before === undefined) [this.sentPage, this.sentCamera] = ["", undefined];
+    if (isLed(before) && !isLed(message)) [this.sentPage, this.sentCamera] = ["", undefined];
+    this.around.model.group.set({ ...message, isApart: isLed(message) && before?.isApart === true });
     this.changed();
   }
 
@@ -164,17 +167,15 @@ export class Together {
     const { model, alone } = this.around;
     const wasLed = groupOf(window.location.hash) !== undefined;
     this.isIn = false;
-    [this.group, this.led, this.posed] = [undefined, undefined, undefined];
-    model.showGroup(undefined);
+    [this.led, this.posed] = [undefined, undefined];
+    model.group.set(undefined);
     model.toast(why, "lasting");
     if (wasLed) window.history.replaceState(null, "", window.location.pathname + window.location.search);
     alone();
   }
 
   private change(of: Partial<GroupState>): void {
-    if (this.group === undefined) return;
-    this.group = { ...this.group, ...of };
-    this.around.model.showGroup(this.group);
+    if (this.group !== undefined) this.around.model.group.set({ ...this.group, ...of });
   }
 
   private lookAround(): void {
@@ -207,9 +208,9 @@ export class Together {
     const state = link();
     if (state === undefined || framing.pose === undefined || this.follows || !this.isIn) return;
     const page = encodeLink({ ...state, pose: undefined });
-    const camera = JSON.stringify(scene.camera.pose);
+    const camera = scene.camera.pose;
     const news = {
-      ...(camera === this.sentCamera ? {} : { camera: scene.camera.pose }),
+      ...(isEqual(camera, this.sentCamera) ? {} : { camera }),
       ...(page === this.sentPage || page.length > MAX_PAGE_CHARS ? {} : { page }),
     };
     if (Object.keys(news).length === 0) return;

@@ -34,7 +34,7 @@ export class FileUploads implements UploadActions {
       // While it waits, what was sent before is.
       const now = phase === "waiting" ? (before?.sent ?? 0) : sent;
       if (before?.phase === phase && phase === "sending" && now < total && Math.abs(now - before.sent) * STEPS < total) return;
-      model.showUploading({ title, files: files.length, phase, sent: now, total });
+      model.uploading.set({ title, files: files.length, phase, sent: now, total });
     };
     try {
       const { upload } = await import("../net/uploads");
@@ -48,7 +48,7 @@ export class FileUploads implements UploadActions {
       else model.toast(`${title} could not be uploaded: ${error instanceof Error ? error.message : String(error)}`, "lasting");
     } finally {
       this.running = undefined;
-      model.showUploading(undefined);
+      model.uploading.set(undefined);
     }
   }
 

@@ -3,6 +3,7 @@
  * last is kept.
  */
 
+import { isEqual } from "../protocol/equal";
 import { fetchOverview, type Overview, type OverviewRequest } from "../net/overview";
 import type { VolumeInfo } from "../protocol/types";
 import { VolumePicture, type VolumeStyle } from "../scene/volumePicture";
@@ -25,16 +26,16 @@ type Get = (base: URL, request: OverviewRequest, signal: AbortSignal) => Promise
 const requestOf = ({ volume, step, field, style }: VolumeWanted): OverviewRequest => ({ volume: volume.id, step, field, mode: style.isMaximum ? "maximum" : "mean" });
 const keyOf = (wanted: VolumeWanted) => JSON.stringify(requestOf(wanted));
 /** A step that is not there yet leaves that of before in the picture; another volume or field does not. */
-const sourceOf = ({ volume, field, style }: VolumeWanted) => JSON.stringify([volume.id, field, style.isMaximum]);
+const isSameSource = (a: VolumeWanted, b: VolumeWanted) => a.volume.id === b.volume.id && a.field === b.field && a.style.isMaximum === b.style.isMaximum;
 
 export class VolumeShower {
   private readonly kept = new Map<string, Overview>();
   private wanted: VolumeWanted | undefined;
   private flight: { readonly key: string; readonly abort: AbortController } | undefined;
-  private shown: { readonly key: string; readonly source: string; readonly range: Overview["range"]; readonly picture: VolumePicture } | undefined;
+  private shown: { readonly key: string; readonly of: VolumeWanted; readonly range: Overview["range"]; readonly picture: VolumePicture } | undefined;
   /** Asked for once: until something else is wanted it is not asked for again. */
   private failed: string | undefined;
-  private style = "";
+  private style: VolumeStyle | undefined;
 
   /** @param onError what cannot be shown, for the user */
   constructor(
@@ -47,7 +48,7 @@ export class VolumeShower {
   /** `undefined`: nothing. An unchanged picture costs no frame. */
   show(wanted: VolumeWanted | undefined): void {
     this.wanted = wanted;
-    if (wanted === undefined || (this.shown !== undefined && this.shown.source !== sourceOf(wanted))) this.remove();
+    if (wanted === undefined || (this.shown !== undefined && !isSameSource(this.shown.of, wanted))) this.remove();
     if (wanted === undefined) {
       this.failed = undefined;
       this.flight?.abort.abort();
@@ -88,8 +89,8 @@ export class VolumeShower {
     const key = keyOf(wanted);
     if (this.shown?.key === key) return;
     this.shown?.picture.dispose();
-    this.shown = { key, source: sourceOf(wanted), range: overview.range, picture: new VolumePicture(overview, wanted.volume.geometry) };
-    this.style = "";
+    this.shown = { key, of: wanted, range: overview.range, picture: new VolumePicture(overview, wanted.volume.geometry) };
+    this.style = undefined;
   }
 
   private remove(): void {
@@ -103,9 +104,8 @@ export class VolumeShower {
     const { shown, wanted } = this;
     if (shown === undefined || wanted === undefined) return;
     const style: VolumeStyle = { ...wanted.style, window: wanted.style.window ?? shown.range };
-    const asText = JSON.stringify(style);
-    if (asText === this.style) return;
-    this.style = asText;
+    if (isEqual(style, this.style)) return;
+    this.style = style;
     shown.picture.style = style;
     this.onPicture(shown.picture);
   }

@@ -6,7 +6,7 @@ import type { Edit, Statistics, View } from "../../protocol/types";
 import { lengthUnit, unitWord } from "../../state/lengths";
 import { budgetEdit } from "../../state/sharedBudget";
 import { unitsOf } from "../../state/typedNumber";
-import { cutsTree } from "../../state/view";
+import { cutsTree } from "../../protocol/view";
 import type { ViewerState } from "../../state/viewer";
 import { formatValue } from "../format";
 import { useModel, useScale, useSpacing } from "../model";

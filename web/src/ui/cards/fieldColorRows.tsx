@@ -2,6 +2,7 @@
 
 import { Show } from "solid-js";
 import { MAX_ISOLINES } from "../../state/look";
+import { withRanges } from "../../state/featureRanges";
 import { coloredByLook } from "../../state/surfaceList";
 import { formatValue } from "../format";
 import { useModel } from "../model";
@@ -15,8 +16,8 @@ import { fieldScaleOf, logProblem } from "./fieldColors";
 const FIRST_ISOLINES = 8;
 
 function useColored() {
-  const { ranged, selected, surfaces, viewer } = useModel();
-  return () => coloredByLook(ranged(viewer(), surfaces()), selected()?.number ?? 0);
+  const { selected, surfaces, viewer } = useModel();
+  return () => coloredByLook(withRanges(viewer(), surfaces()), selected()?.number ?? 0);
 }
 
 export default function FieldColors() {

@@ -7,7 +7,6 @@ import { importanceEdit, isAround, joinedLabel, labelByNumber, labelFields, labe
 import { lengthUnit } from "../../state/lengths";
 import { listHas } from "../../state/mask";
 import type { Surface } from "../../state/surfaceList";
-import { selectSurface } from "../../state/surfaceState";
 import { formatCount } from "../format";
 import { useModel } from "../model";
 import { Button } from "../widgets/button";
@@ -155,7 +154,7 @@ function showLabel(model: ReturnType<typeof useModel>, field: string, label: Lab
 /** Whether a surface is on screen as it is going to stay, so that it can be summed up. */
 function useReady(): (surface: Surface) => boolean {
   const { facts, viewer } = useModel();
-  return ({ number }) => !facts().busy && selectSurface(viewer(), number).shown !== undefined;
+  return ({ number }) => !facts().busy && viewer().known.get(number)?.shown !== undefined;
 }
 
 /** Smoothing, and area and volume of the surfaces that are shown. */

@@ -3,7 +3,7 @@
 import { For, Show } from "solid-js";
 import type { Statistics, View } from "../../protocol/types";
 import { isKept, placesOf, withoutPlace, type Parts, type PartTool } from "../../state/parts";
-import { cutsTree } from "../../state/view";
+import { cutsTree } from "../../protocol/view";
 import { formatValue } from "../format";
 import { useModel } from "../model";
 import { Button } from "../widgets/button";

@@ -3,7 +3,7 @@
 import { createSignal, Index, Show, type JSX } from "solid-js";
 import { labelsName } from "../../state/labels";
 import { freeColor, MAX_SURFACES, type Surface } from "../../state/surfaceList";
-import { surfacesOf, type SurfaceState } from "../../state/surfaceState";
+import type { SurfaceState } from "../../state/surfaceState";
 import { unitsOf } from "../../state/typedNumber";
 import type { VolumeInfo } from "../../protocol/types";
 import { digitsBetween, formatCount } from "../format";
@@ -118,7 +118,7 @@ function Row(props: { readonly surface: Surface; readonly place: number; readonl
   const ends = () => [field()?.histogram.min ?? 0, field()?.histogram.max ?? 1] as const;
   const range = () => ends()[1] - ends()[0];
   const triangles = () => (facts().levelTrianglesBySurface[number()] ?? []).reduce((sum, n) => sum + n, 0);
-  const words = () => rowText(surfacesOf(viewer()).get(number()), triangles());
+  const words = () => rowText(viewer().known.get(number()), triangles());
   const labelled = () => labelsName(volume(), props.surface.view.field);
   const fieldName = () => labelled() ?? label(props.surface.view.field);
   const colors = () => {

@@ -1,7 +1,7 @@
 /** Buttons that put a tool in hand, which a click on the surface uses, and what to do with it. */
 
 import { For, onCleanup, Show, type JSX } from "solid-js";
-import type { Tool } from "../../state/store";
+import type { Tool } from "../../state/page";
 import { useModel } from "../model";
 import { Button } from "../widgets/button";
 

@@ -1,5 +1,6 @@
 /** One of the slices beside the picture: samples, outlines of surfaces, the crosshair, and what is at its sides. */
 
+import { isEqual } from "../../protocol/equal";
 import { createEffect, createMemo, createSignal, For, on, onCleanup, onMount, Show } from "solid-js";
 import { draggedWindow } from "../../slices/window";
 import { indicesAtPixel, pixelOf, type Fit, type SliceView } from "../../slices/view";
@@ -45,11 +46,11 @@ function useSize(): readonly [() => readonly [number, number], (element: HTMLEle
 }
 
 export function SlicePane(props: PaneProps) {
-  const { beside, page } = useModel();
+  const { page, slices } = useModel();
   const [size, observe] = useSize();
   const dims = () => props.volume.geometry.dims;
   const at = () => crosshairOf(page().slicing, dims());
-  const state = () => beside.slices[props.view.across];
+  const state = () => slices()[props.view.across];
   const { fit, zoom, does: zoomDoes } = useZoom(props, size, at);
   const cross = () => pixelOf(props.view, fit(), at()[props.view.axes[0]], at()[props.view.axes[1]]);
   const last = () => dims()[props.view.across] - 1;
@@ -132,7 +133,7 @@ function useDrawing(props: PaneProps, state: () => SliceState | undefined): { re
   const { surfaces } = useModel();
   const field = useShownField();
   const shownWindow = useWindow();
-  const wanted = createMemo(() => outlinesOf(surfaces()), undefined, { equals: (a, b) => JSON.stringify(a) === JSON.stringify(b) });
+  const wanted = createMemo(() => outlinesOf(surfaces()), undefined, { equals: isEqual });
   const loaded = createMemo(() => state()?.loaded);
   const found = createMemo(() => {
     const slice = loaded();

@@ -1,11 +1,12 @@
 /** Three slices across the axes of the volume, through one crosshair, and what is there. Loaded when they are shown. */
 
+import { isEqual } from "../../protocol/equal";
 import { createEffect, createMemo, createSignal, For, onCleanup, Show } from "solid-js";
 import { sampleAt } from "../../slices/paint";
 import { sliceViews, type SliceView } from "../../slices/view";
 import type { VolumeInfo } from "../../protocol/types";
 import { lengthUnit } from "../../state/lengths";
-import { crosshairOf } from "../../state/slicing";
+import { crosshairOf, type SliceState } from "../../state/slicing";
 import type { Triple } from "../../world/places";
 import { label } from "../cards/features";
 import { formatValue } from "../format";
@@ -40,7 +41,7 @@ function Panes(props: { readonly volume: VolumeInfo }) {
   const { page } = useModel();
   // Others make other panes, which a drag would not survive.
   const leftIsLeft = createMemo(() => page().slicing.leftIsLeft);
-  const geometry = createMemo(() => props.volume.geometry, undefined, { equals: (a, b) => JSON.stringify(a) === JSON.stringify(b) });
+  const geometry = createMemo(() => props.volume.geometry, undefined, { equals: isEqual });
   const views = createMemo(() => sliceViews(geometry(), leftIsLeft()));
   /** On a narrow page there is one at a time. */
   const [chosen, setChosen] = createSignal(0);
@@ -64,11 +65,11 @@ function Panes(props: { readonly volume: VolumeInfo }) {
 
 /** What is at the crosshair, or under the pointer. */
 function Facts(props: { readonly volume: VolumeInfo; readonly views: readonly SliceView[]; readonly hovered: Triple | undefined }) {
-  const { beside, page, surfaces } = useModel();
+  const { page, slices, surfaces } = useModel();
   const field = useShownField();
   const shownWindow = useWindow();
   const at = () => crosshairOf(page().slicing, props.volume.geometry.dims);
-  const valueAt = (index: Triple) => valueOf(index, props.views, beside.slices, field(), props.volume);
+  const valueAt = (index: Triple) => valueOf(index, props.views, slices(), field(), props.volume);
   const position = (index: Triple) => positionWords(props.volume.geometry, index, lengthUnit(props.volume));
   const index = () => props.hovered ?? at();
   return (
@@ -98,7 +99,7 @@ function Facts(props: { readonly volume: VolumeInfo; readonly views: readonly Sl
   );
 }
 
-function valueOf(index: Triple, views: readonly SliceView[], slices: ReturnType<typeof useModel>["beside"]["slices"], field: string, volume: VolumeInfo): string {
+function valueOf(index: Triple, views: readonly SliceView[], slices: readonly SliceState[], field: string, volume: VolumeInfo): string {
   for (const view of views) {
     const loaded = slices[view.across]?.loaded;
     const plane = loaded?.planes.get(field);
@@ -126,9 +127,9 @@ function Said(props: { readonly text: string }) {
 }
 
 function Problem() {
-  const { beside, viewer } = useModel();
+  const { actions, slices: all, viewer } = useModel();
   const text = () => {
-    const { slices } = beside;
+    const slices = all();
     return problemWords(slices.map(({ problem }) => problem), slices.every(({ isCurrent }) => isCurrent), viewer().connection, slices.some(({ loaded }) => loaded !== undefined));
   };
   return (
@@ -136,7 +137,7 @@ function Problem() {
       <div class="slice-problem" role="alert">
         <span>{text()}</span>
         <Show when={viewer().connection === "connected"}>
-          <Button quiet onClick={() => beside.retry?.()}>
+          <Button quiet onClick={() => actions.retrySlices()}>
             Try again
           </Button>
         </Show>

@@ -6,11 +6,11 @@ import { useModel } from "../model";
 
 /** Values that are black and white in the slices. */
 export function useWindow(): () => readonly [number, number] {
-  const { beside, look, volume } = useModel();
+  const { look, slices, volume } = useModel();
   const field = useShownField();
   return createMemo(() => {
     const name = field();
-    return look().slices.window ?? openingWindow(volume(), name, () => beside.slices.flatMap(({ loaded }) => loaded?.planes.get(name)?.samples ?? []));
+    return look().slices.window ?? openingWindow(volume(), name, () => slices().flatMap(({ loaded }) => loaded?.planes.get(name)?.samples ?? []));
   });
 }
 
