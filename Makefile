@@ -106,6 +106,7 @@ lint-text:
 	tests/lint/unused.py
 	tests/lint/help.py
 	tests/lint/retired_words.py
+	tests/lint/table_cells.py
 
 lint-rust: web-client
 	cargo clippy --locked --workspace --all-targets --quiet -- -D warnings
