@@ -27,8 +27,8 @@ pub(crate) mod tree_refine;
 pub(crate) mod upload;
 pub(crate) mod vertex_distances;
 
-/// A device, its queue and its programs. It may move between threads. Several may use it at once, but they gain nothing: all commands
-/// are in one queue.
+/// A device, its queue and its programs. It may move between threads. If several use it at once, results are right, but times and peak
+/// memory are mixed, and nothing is faster: all commands are in one queue.
 pub struct Engine {
     pub(crate) cx: Context,
     pub(crate) cases: Buffer<u8>,

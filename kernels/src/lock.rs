@@ -1,4 +1,5 @@
-//! Locks that are held for a moment and survive a panic: what they guard is complete after each change.
+//! Locks. They survive a panic, because what they guard is complete after each change. That of a kernel is held while its launch is
+//! enqueued, the others for a moment; none is held in a pause of a job.
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 

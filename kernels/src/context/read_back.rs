@@ -91,7 +91,7 @@ pub(crate) enum Returned {
     Buffer(MappedBuffer),
 }
 
-/// Memory lent to surfaces: read-only, on any thread. Dropping it sends the memory back to its context's thread.
+/// Memory lent to surfaces: read-only, on any thread. Dropping it sends the memory back to its context.
 struct Lent {
     address: NonNull<u8>,
     bytes: usize,

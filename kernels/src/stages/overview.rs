@@ -100,6 +100,8 @@ pub struct OverviewPart {
 /// Values of a part of an overview.
 #[derive(Debug)]
 pub struct OverviewValues {
+    /// Slab and row of the part.
+    place: (usize, u32),
     /// The first block.
     first: usize,
     /// For each block the first sample with the sum of the scaled differences from it, or the maximum.
@@ -163,7 +165,12 @@ impl OverviewWork {
     }
 
     /// Adds the values of the next part.
+    ///
+    /// # Panics
+    /// They are those of another part.
     pub fn add(&mut self, found: OverviewValues) {
+        let next = self.next.as_ref().map(|part| (part.slab, part.row));
+        assert_eq!(next, Some(found.place), "slab and row of the next part of an overview");
         let scale = f64::from(self.blocks.scale());
         for (i, (value, &count)) in found.values.iter().zip(&found.counts).enumerate() {
             let own = &mut self.values[found.first + i];
@@ -277,6 +284,7 @@ pub fn values_of(cx: &Context, volume: &Volume, part: &OverviewPart) -> Result<O
         false => Some((part.slab + 1, 0)).filter(|(slab, _)| *slab < volume.slabs.len()),
     };
     Ok(OverviewValues {
+        place: (part.slab, part.row),
         first: row as usize * width as usize,
         values,
         counts,

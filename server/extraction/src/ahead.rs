@@ -2,20 +2,10 @@
 //! that viewers have open.
 
 use isopeel_kernels::{Error, RectilinearGrid, SampleType};
-use isopeel_volumes::StepKey;
 
 use super::job_error::JobError;
 use super::keys::VolumeKey;
 use super::workspace::Workspace;
-
-/// Limits of a field that is read ahead.
-#[derive(Clone)]
-pub struct ReadAhead {
-    /// Maximum bytes of all fields that were read ahead and are not used yet.
-    pub budget: u64,
-    /// Time steps that viewers have open: their fields are not evicted.
-    pub open: Vec<StepKey>,
-}
 
 impl Workspace {
     /// Starts the upload of a field that is read ahead, if there is space for it; returns false if there is none.
@@ -28,10 +18,10 @@ impl Workspace {
         grid: &RectilinearGrid,
         sample_type: SampleType,
         missing: Option<f32>,
-        ahead: &ReadAhead,
+        budget: u64,
     ) -> Result<bool, JobError> {
         let bytes = self.engine().upload_bytes(grid.grid(), sample_type.bytes());
-        if !self.make_space_ahead(bytes, ahead) {
+        if !self.make_space_ahead(bytes, budget) {
             return Ok(false);
         }
         match self.engine().begin_upload(grid, sample_type, missing) {
@@ -45,9 +35,9 @@ impl Workspace {
 
     /// Evicts volumes that are not in use until `bytes` fit: first those that were read ahead and never used, oldest first, until they and
     /// the new one keep the budget; then others. Returns false, and evicts nothing, if that cannot free enough.
-    pub fn make_space_ahead(&mut self, bytes: u64, ahead: &ReadAhead) -> bool {
-        let (pins, budget) = (&self.pins, ahead.budget);
-        let stays = |key: &VolumeKey| pins.holds(key) || ahead.open.contains(&key.step);
+    pub fn make_space_ahead(&mut self, bytes: u64, budget: u64) -> bool {
+        let (pins, open_steps) = (&self.pins, &self.open_steps);
+        let stays = |key: &VolumeKey| pins.holds(key) || open_steps.contains(&key.step);
         let kept: u64 = self
             .volumes
             .costs()

@@ -1,16 +1,15 @@
 //! The engine as a library: extracts surfaces from a volume and a view.
 //!
-//! A [`Workspace`] holds a device, the fields that are resident on it, and cached data of earlier edits. It may move
-//! to another thread. Each piece
-//! of work ends with a result or a [`JobError`], which says what to do before it is retried, such as loading fields. A server does that
-//! between other work; [`Workspace::run_to_completion`] does it at once, for programs that have the device for themselves.
+//! A [`Workspace`] holds a device, the fields that are resident on it, and cached data of earlier edits. It may move to another thread. Each
+//! piece of work ends with a result or a [`JobError`], which says what to do before it is retried, such as loading fields. A server does
+//! that between other work; [`Workspace::run_to_completion`] does it at once, for programs that have the device for themselves.
 //!
 //! - Workspace: `workspace` holds the resident data in caches (`residency`, `cuts`, `histogram_cache`) by keys (`keys`, `identity`).
 //!   `context`: cancellation and pauses of a piece of work. `job_error`, `error`: its errors. `observer`: counters and timers. `complete`
 //!   runs work and loads what it needs. `user_time`: device time that the computed fields of each user have taken.
-//! - `requests`: all that a workspace can be asked for, as data.
+//! - `requests`: what a server asks a workspace for, as data.
 //! - Fields: `reading` reads them, `uploads` sends them to the device, on `grids`; `ahead` does so for time steps that a viewer may reach
-//!   next; `release` frees those of a time step. `pins`: fields that must stay resident. `computed` and `fields` compute fields from others,
+//!   next; `release` frees those of a time step. `pins`: fields that must stay resident. `open_steps`: time steps that viewers have open. `computed` and `fields` compute fields from others,
 //!   on the device and on the host. `dataset_views`: the initial view of a dataset.
 //! - Memory: `memory`: use by purpose; `shares`: limits of the caches; `host_memory`: admission of allocations on the host; `host_space`:
 //!   evictions that make space for them.
@@ -57,6 +56,7 @@ mod lock;
 mod memory;
 mod observer;
 mod on_device;
+mod open_steps;
 mod overviews;
 mod pins;
 mod questions;
@@ -75,7 +75,6 @@ mod uploads;
 mod user_time;
 mod workspace;
 
-pub use ahead::ReadAhead;
 pub use byte_search::{ByteSearch, Trial};
 pub use context::{JobContext, JobTimes, WaitingWork};
 pub use error::{OpenError, WorkError, chain};
@@ -89,6 +88,7 @@ pub use keys::{ALWAYS_DESCRIBED, HistogramKey, Masking, VolumeKey, view_keys, wi
 pub use lock::lock;
 pub use memory::{MemoryUse, WorkspaceMemory, resident_bytes};
 pub use observer::Observer;
+pub use open_steps::{OpenStepGuard, OpenSteps};
 pub use pins::{Pinned, Pins};
 pub use questions::{
     Answer, Curve, CurvePoint, Distribution, FieldValue, LeafKind, NearestLeaf, NearestSurface, NoValue, Probe,

@@ -21,7 +21,7 @@ use super::workspace::{Trees, Workspace};
 /// What a job on a view uses on the device: its volume, its pyramid and the caches.
 pub(crate) struct OnDevice<'a> {
     pub engine: &'a Engine,
-    /// `cuts` and `trees` are borrowed only for a moment, because other jobs use them in a pause.
+    /// `cuts` and `trees` are locked for one statement only: other jobs lock them in a pause, on the same thread.
     pub cuts: &'a Mutex<Cuts>,
     pub trees: &'a Mutex<Trees>,
     /// Key of the pyramid and its tree.

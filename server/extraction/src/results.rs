@@ -165,7 +165,7 @@ pub struct Refinement {
     pub target: Option<CutId>,
     /// Whether the surface is that of the view.
     pub is_final: bool,
-    /// Whether a better surface of the same view exists, which [`super::Extractor::improve`] takes longer to make.
+    /// Whether a better surface of the same view exists, which [`super::Workspace::improve`] takes longer to make.
     pub can_improve: bool,
     /// Time of the work, without time spent waiting or reading files.
     pub wall: Duration,

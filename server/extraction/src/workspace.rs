@@ -20,6 +20,7 @@ use super::keys::{HistogramKey, Masking, VolumeKey, view_keys, with_inputs};
 use super::lock::lock;
 use super::memory::WorkspaceMemory;
 use super::observer::{Observer, Unobserved};
+use super::open_steps::OpenSteps;
 use super::pins::Pins;
 use super::residency::Lru;
 use super::shares::Shares;
@@ -38,6 +39,8 @@ pub struct Options {
     pub histograms: HistogramCache,
     /// Volumes that are not evicted.
     pub pins: Pins,
+    /// Time steps that viewers have open.
+    pub open_steps: OpenSteps,
     /// Maximum bytes of cached data of earlier edits; `None`: a default that depends on the device.
     pub surface_bytes: Option<u64>,
     /// Maximum device time for computing one field; `None`: no limit.
@@ -55,6 +58,7 @@ impl Default for Options {
         Self {
             histograms: HistogramCache::default(),
             pins: Pins::default(),
+            open_steps: OpenSteps::default(),
             surface_bytes: None,
             request_time: None,
             user_times: UserTimes::new(None),
@@ -84,6 +88,7 @@ pub struct Workspace {
     pub(crate) user_times: Arc<UserTimes>,
     pub(crate) histograms: HistogramCache,
     pub(crate) pins: Pins,
+    pub(crate) open_steps: OpenSteps,
     pub(crate) observer: Arc<dyn Observer + Send + Sync>,
     pub(crate) long_work: Option<Arc<ThreadPool>>,
     /// Fields that are being loaded, each with its bytes on the device.
@@ -98,6 +103,7 @@ impl Workspace {
         let Options {
             histograms,
             pins,
+            open_steps,
             surface_bytes,
             request_time,
             user_times,
@@ -122,6 +128,7 @@ impl Workspace {
             cuts: Arc::new(Mutex::new(Cuts::new(shares.cuts))),
             histograms,
             pins,
+            open_steps,
             observer,
             long_work,
             uploads: HashMap::new(),

@@ -17,7 +17,8 @@ use super::token::TokenError;
 pub const LIFETIME: Duration = Duration::from_secs(30);
 /// Maximum tickets, some 200 bytes each.
 const MAX_TICKETS: usize = 4_096;
-/// Maximum tickets of one token, so that one user cannot use up all of them: a page needs one for each stream.
+/// Maximum tickets of one token, so that one user cannot use up all of them: a page needs one for each stream. Those without a token share
+/// one such maximum.
 const MAX_OF_TOKEN: usize = 128;
 const RANDOM_BYTES: usize = 32;
 
@@ -25,7 +26,7 @@ const RANDOM_BYTES: usize = 32;
 #[derive(Debug, thiserror::Error)]
 pub(super) enum TicketError {
     /// There are too many unused tickets.
-    #[error("{0} tickets were not used, as many as may be for {LIFETIME:?}: try again when they have expired")]
+    #[error("there are {0} unused tickets, the maximum: try again when they have expired, in {LIFETIME:?}")]
     TooMany(usize),
     /// There are no random numbers.
     #[error(transparent)]
@@ -58,8 +59,11 @@ impl Tickets {
         tickets.retain(|_, ticket| now.duration_since(ticket.made) < LIFETIME);
         let of_token = tickets.values().filter(|ticket| ticket.who.token() == who.token());
         let (all, own) = (tickets.len(), of_token.count());
-        if own >= MAX_OF_TOKEN || all >= MAX_TICKETS {
-            return Err(TicketError::TooMany(own.min(MAX_OF_TOKEN).max(all.min(MAX_TICKETS))));
+        if own >= MAX_OF_TOKEN {
+            return Err(TicketError::TooMany(MAX_OF_TOKEN));
+        }
+        if all >= MAX_TICKETS {
+            return Err(TicketError::TooMany(MAX_TICKETS));
         }
         let ticket = Ticket {
             who: who.clone(),
@@ -85,7 +89,7 @@ impl Tickets {
     }
 }
 
-/// The ticket in a query.
+/// Returns the first ticket of a query.
 pub(super) fn in_query(query: &str) -> Option<&str> {
     query.split('&').find_map(|pair| pair.strip_prefix("ticket="))
 }
@@ -117,10 +121,10 @@ mod tests {
             );
         }
         let (late, early) = (issue(None), issue(None));
+        assert!(!format!("{tickets:?}").contains(&late), "stored by its hash");
         assert!(tickets.take(&late, None, now + LIFETIME).is_none(), "late");
         let just = now + LIFETIME - Duration::from_millis(1);
         assert!(tickets.take(&early, None, just).is_some());
-        assert!(!format!("{tickets:?}").contains(&late));
     }
 
     #[test]
@@ -130,16 +134,16 @@ mod tests {
         for _ in 0..MAX_OF_TOKEN {
             tickets.issue(&who, None, now).expect("a ticket");
         }
-        let refused = tickets.issue(&who, None, now).expect_err("one too many");
-        assert!(matches!(refused, TicketError::TooMany(MAX_OF_TOKEN)), "{refused}");
         let other = Identity::of_start("other");
         assert!(tickets.issue(&other, None, now).is_ok(), "somebody else");
+        let refused = tickets.issue(&who, None, now).expect_err("one too many");
+        assert!(matches!(refused, TicketError::TooMany(MAX_OF_TOKEN)), "{refused}");
         assert!(tickets.issue(&who, None, now + LIFETIME).is_ok());
         assert_eq!(tickets.0.lock().expect("not poisoned").len(), 1);
     }
 
     #[test]
-    fn a_query_has_one_ticket() {
+    fn the_first_ticket_of_a_query_counts() {
         assert_eq!(in_query("ticket=a-_b"), Some("a-_b"));
         assert_eq!(in_query("x=1&ticket=a&ticket=b"), Some("a"));
         assert_eq!(in_query("tickets=a"), None);

@@ -2,18 +2,17 @@
 //! evicts data in use for this: neither volumes that jobs work on (`pins`), nor time steps that viewers have open
 //! ([`OpenStepGuard`]).
 
-use isopeel_extraction::{MakeSpaceAhead, Masking, ReadAhead, Release, VolumeKey, WorkError, view_keys, with_inputs};
+use isopeel_extraction::{MakeSpaceAhead, Masking, OpenStepGuard, VolumeKey, WorkError, view_keys, with_inputs};
 use isopeel_view::View;
 use isopeel_volumes::VolumeStep;
 use tokio_util::sync::CancellationToken;
 
-use super::open_steps::OpenStepGuard;
 use super::worker::DeviceWorker;
 
 impl DeviceWorker {
     /// Marks a time step as open in a viewer until the returned guard is dropped.
     pub fn mark_open(&self, volume: &VolumeStep) -> OpenStepGuard {
-        self.shared.ahead.mark_open(&volume.key())
+        self.shared.open_steps.mark(&volume.key())
     }
 
     /// Loads the fields that views use onto the device, if they fit into the `budget` bytes of fields that were read ahead and are not used
@@ -43,7 +42,7 @@ impl DeviceWorker {
         }
         for key in keys {
             let permit = tokio::select! {
-                permit = self.shared.ahead.permits.acquire() => permit.map_err(|_| WorkError::Stopped)?,
+                permit = self.shared.ahead_permits.acquire() => permit.map_err(|_| WorkError::Stopped)?,
                 () = token.cancelled() => return Ok(()),
             };
             if token.is_cancelled() || !self.make_space_ahead(volume, &key, budget).await? {
@@ -55,25 +54,14 @@ impl DeviceWorker {
         Ok(())
     }
 
-    /// Returns the limits of read-ahead: its budget in bytes, and the open time steps, which it must not evict.
-    pub(super) fn read_ahead_limits(&self, budget: u64) -> ReadAhead {
-        let open = self.shared.ahead.open();
-        ReadAhead { budget, open }
-    }
-
     /// Makes space on the device for a field that is not resident. Returns false if there is nothing to load: the field is resident, or space
     /// for it would exceed the budget or take memory from data in use.
     async fn make_space_ahead(&self, volume: &VolumeStep, key: &VolumeKey, budget: u64) -> Result<bool, WorkError> {
         let request = MakeSpaceAhead {
             volume: volume.clone(),
             key: key.clone(),
-            ahead: self.read_ahead_limits(budget),
+            budget,
         };
         self.run_for_cache(request).await
-    }
-
-    /// Frees the samples, pyramids and vertex trees of a time step that nothing will use again. If the device is lost, they are gone anyway.
-    pub async fn release(&self, volume: &VolumeStep) {
-        let _ = self.run_for_cache(Release { step: volume.key() }).await;
     }
 }

@@ -8,7 +8,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::job::length_of;
 use super::scheduler::Caller;
-use super::worker::DeviceWorker;
+use super::worker::{DeviceWorker, reply_of};
 
 /// Maximum attempts at a request's job before it fails with [`WorkError::Busy`]. Loading its volumes once is not always enough: if the
 /// device runs out of memory, all volumes except those of the running job are evicted, even pinned ones. Jobs of viewers and of caches are
@@ -82,7 +82,7 @@ impl DeviceWorker {
             let attempt = request.clone().into();
             let length_now = length.unwrap_or_else(|| length_of(&attempt, caller));
             let error = match self.run_as(length_now, caller, attempt, token).await {
-                Ok(reply) => return R::take_reply(reply).ok_or(WorkError::Stopped),
+                Ok(reply) => return reply_of::<R>(reply),
                 Err(error) => error,
             };
             let Err(error) = self.wait_until_proven(error, token).await else {

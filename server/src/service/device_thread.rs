@@ -10,7 +10,8 @@ use std::sync::{Arc, Mutex, OnceLock};
 use std::time::Duration;
 
 use isopeel_extraction::{
-    HistogramCache, Observer, OpenError, Options, Pins, UserTimes, Workspace, WorkspaceMemory, lock, resident_bytes,
+    HistogramCache, Observer, OpenError, OpenSteps, Options, Pins, UserTimes, Workspace, WorkspaceMemory, lock,
+    resident_bytes,
 };
 use isopeel_kernels::check::{Check, STEPS, Scope};
 use isopeel_kernels::{DeviceInfo, Engine, SampleType, Tuning};
@@ -174,6 +175,7 @@ pub(super) struct DeviceThread {
     pub engine: Arc<AtomicU64>,
     pub histograms: HistogramCache,
     pub pins: Pins,
+    pub open_steps: OpenSteps,
     /// Programs that have passed the check, shared with the handles.
     pub proven: Arc<OnceLock<Arc<Proven>>>,
 }
@@ -276,6 +278,7 @@ impl DeviceThread {
             Options {
                 histograms: self.histograms.clone(),
                 pins: self.pins.clone(),
+                open_steps: self.open_steps.clone(),
                 surface_bytes: self.surface_bytes,
                 request_time: self.request_time,
                 user_times: Arc::clone(&self.user_times),

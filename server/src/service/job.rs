@@ -17,7 +17,27 @@ pub(super) fn length_of(request: &DeviceRequest, caller: Caller) -> Length {
         DeviceRequest::Measure(_) | DeviceRequest::Improve(_) => Length::Rest,
         DeviceRequest::Ask(ask) if matches!(ask.question, Question::VertexErrors(_)) => Length::Rest,
         DeviceRequest::Compute(_) => Length::Field,
-        _ => Length::Short,
+        DeviceRequest::Ask(_)
+        | DeviceRequest::Resolve(_)
+        | DeviceRequest::Prepare(_)
+        | DeviceRequest::Count(_)
+        | DeviceRequest::Refine(_)
+        | DeviceRequest::FindResident(_)
+        | DeviceRequest::UseField(_)
+        | DeviceRequest::BeginUpload(_)
+        | DeviceRequest::ContinueUpload(_)
+        | DeviceRequest::ContinueTable(_)
+        | DeviceRequest::FinishUpload(_)
+        | DeviceRequest::DropUpload(_)
+        | DeviceRequest::MakeSpaceAhead(_)
+        | DeviceRequest::MakeHostSpace(_)
+        | DeviceRequest::Release(_)
+        | DeviceRequest::UseHistogramFields(_)
+        | DeviceRequest::ContinueHistogram(_)
+        | DeviceRequest::ContinueOverview(_)
+        | DeviceRequest::ReadSamples(_)
+        | DeviceRequest::ReadSlice(_)
+        | DeviceRequest::CheckAnswers(_) => Length::Short,
     }
 }
 

@@ -1,11 +1,11 @@
-//! Loads fields onto the device. Files are read on tokio's blocking pool, never on the device's thread, and uploaded in pieces.
+//! Loads fields onto the device, and frees those of a time step. Files are read on tokio's blocking pool, never on the device's thread, and uploaded in pieces.
 
 use std::pin::Pin;
 use std::sync::Arc;
 
 use isopeel_extraction::{
     BeginUpload, Compute, ContinueTable, ContinueUpload, DropUpload, FindResident, FinishUpload, HostMemory,
-    MakeHostSpace, Piece, VolumeKey, WorkError, bytes_while_read, padded_grid, read,
+    MakeHostSpace, Piece, Release, VolumeKey, WorkError, bytes_while_read, padded_grid, read,
 };
 use isopeel_kernels::RectilinearGrid;
 use isopeel_volumes::{ReadProgress, VolumeStep};
@@ -179,6 +179,11 @@ impl DeviceWorker {
         })
     }
 
+    /// Frees the samples, pyramids and vertex trees of a time step that nothing will use again. If the device is lost, they are gone anyway.
+    pub async fn release(&self, volume: &VolumeStep) {
+        let _ = self.run_for_cache(Release { step: volume.key() }).await;
+    }
+
     /// Fails unless the host has memory to read a field. If a caller waits for the field, first evicts caches to make space.
     async fn admit(&self, volume: &VolumeStep, key: &VolumeKey, purpose: Purpose) -> Result<(), WorkError> {
         let needed = bytes_while_read(volume, key, self.ready().await?.kind)?;
@@ -204,9 +209,9 @@ impl DeviceWorker {
                     grid: Arc::clone(&grid),
                     sample_type: samples.sample_type(),
                     missing,
-                    ahead: match purpose {
+                    ahead_budget: match purpose {
                         Purpose::Now => None,
-                        Purpose::Ahead { budget } => Some(self.read_ahead_limits(budget)),
+                        Purpose::Ahead { budget } => Some(budget),
                     },
                 };
                 if !self.run_for_cache(begin).await? {

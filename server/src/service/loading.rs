@@ -57,7 +57,7 @@ pub(super) struct FieldLoad {
     pub lock: Arc<tokio::sync::Mutex<()>>,
     /// Progress of the running load, or of the last one.
     pub progress: Arc<ReadProgress>,
-    /// Cancels the running load.
+    /// Cancels what the device computes for the running load. Changed together with the cancellation of `progress`.
     token: Mutex<CancellationToken>,
     /// Number of callers that wait for this load.
     waiting: AtomicUsize,
@@ -75,8 +75,9 @@ impl FieldLoad {
 
     /// Prepares for a new load or a retry: resets progress and cancellation.
     pub(super) fn restart(&self) {
+        let mut token = lock(&self.token);
         self.progress.restart();
-        *lock(&self.token) = CancellationToken::new();
+        *token = CancellationToken::new();
     }
 
     /// Returns the token of the running load.
@@ -85,8 +86,9 @@ impl FieldLoad {
     }
 
     fn cancel(&self) {
+        let token = lock(&self.token);
         self.progress.cancel();
-        lock(&self.token).cancel();
+        token.cancel();
     }
 
     fn is_awaited(&self) -> bool {

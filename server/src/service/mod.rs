@@ -3,7 +3,7 @@
 //! - `worker`: the bounded queue to the thread that owns the device; `device_thread` opens the device, and reopens it after it was lost;
 //!   `job` is a request in the queue, `attempts` repeats a request until it has a result; `scheduler` runs other jobs when a long job pauses. `observed`: state for monitoring.
 //! - `loader` reads fields and sends them to the device; `loading` is their progress; `pins`: callers that wait until volumes can be pinned.
-//!   `ahead` reads time steps before a viewer reaches them, beside those that viewers have open (`open_steps`).
+//!   `ahead` reads time steps before a viewer reaches them.
 //! - `surfaces`: counts, steps, final surfaces and errors, within budgets and limits. `slices`: samples. `histograms` and `overviews` are made a
 //!   slice at a time between other jobs; `unfinished` and `overview_cache` share them between callers.
 //! - `volume_info`: the description of a volume.
@@ -16,7 +16,6 @@ mod job;
 mod loader;
 mod loading;
 mod observed;
-mod open_steps;
 mod overview_cache;
 mod overviews;
 mod pins;
@@ -29,7 +28,6 @@ mod worker;
 
 pub use device_thread::{Choice, ChoiceError, DeviceChooser, DeviceOptions, DeviceState, Preparation, StateReporter};
 pub use loading::{OpeningProgress, OpeningWatch};
-pub use open_steps::OpenStepGuard;
 pub use volume_info::{
     AxisInfo, DerivedInfo, FieldInfo, GeometryInfo, HistogramInfo, LabelInfo, TimesInfo, VectorInfo, VolumeInfo,
     describe, describe_expression,

@@ -75,7 +75,11 @@ impl DeviceWorker {
                 part,
             };
             match self.run_slice(Caller::Request, slice).await {
-                Ok(values) => lock(&unfinished.work).add(values),
+                Ok(values) => {
+                    let unfinished = Arc::clone(unfinished);
+                    let added = pool::run(move || lock(&unfinished.work).add(values)).await;
+                    added.map_err(|_| WorkError::Stopped)?;
+                }
                 Err(error) => self.prepare_retry(volume, error, &mut retries, &never).await?,
             }
         }

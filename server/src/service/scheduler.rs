@@ -18,7 +18,8 @@ pub(super) enum Caller {
     Viewer,
     /// A request. Its job is refused if the queue is full, and stops before its next stage when the request is gone.
     Request,
-    /// The result is cached for other callers: the job waits if the queue is full, and is finished even if its caller is gone.
+    /// The result is cached for other callers: the job waits if the queue is full, and is not cancelled with its caller. A load is cancelled
+    /// some time after its last caller is gone.
     Cache,
 }
 

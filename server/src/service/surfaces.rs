@@ -1,13 +1,13 @@
-//! From a view to its surface, within limits: resolves the view, finds the threshold that keeps a budget of bytes, and refuses surfaces that
-//! are too large.
+//! Requests about the surface of a view: resolves the view, counts, makes and measures its surface, and answers questions about it. A surface
+//! keeps its budget of bytes, the limit of the handle, and the memory of the host.
 
 use std::time::{Duration, Instant};
 
 use isopeel_codec::encode::encoded_bytes;
 use isopeel_extraction::{
     Answer, Ask, ByteSearch, Count, ExportWork, Extract, Extraction, FullCount, HostMemory, Improve, MakeHostSpace,
-    Making, Measure, Measurement, Measuring, Prepare, Question, Refine, Refinement, Refining, Resolve, ShownSurface,
-    Step, Trial, WorkError,
+    Making, Measure, MeasuredError, Measurement, Measuring, Prepare, Question, Refine, Refinement, Refining, Resolve,
+    ShownSurface, Step, Trial, WorkError,
 };
 use isopeel_kernels::Surface;
 use isopeel_view::View;
@@ -63,10 +63,12 @@ impl DeviceWorker {
         self.perform(Caller::Viewer, Count { volume, view }, token).await
     }
 
-    /// Makes the next step from the surface that a client shows to the surface of a view.
+    /// Makes the next step from the surface that a client shows to the surface of a view. A budget of bytes that is not fitted yet is fitted
+    /// first, which makes whole surfaces; the fit is in the view of the result.
     ///
     /// # Errors
-    /// [`WorkError::TooManyTriangles`] if the final surface exceeds the ceiling, and the device's errors.
+    /// [`WorkError::TooManyTriangles`] if the final surface has more triangles than the handle allows, [`WorkError::HostBusy`] if the host
+    /// has no memory for it, [`WorkError::OverBytes`] if no surface keeps the budget of bytes, and the device's errors.
     pub async fn refine(
         &self,
         volume: &VolumeStep,
@@ -88,10 +90,10 @@ impl DeviceWorker {
     }
 
     /// Makes the final surface of a view again, as a cut of the vertex tree. For a viewer at rest, because building the tree takes longer.
-    /// `None` if there is no better surface.
+    /// `view`: that of the final step, whose budget is fitted. `None` if there is no better surface.
     ///
     /// # Errors
-    /// As [`DeviceWorker::refine`].
+    /// As [`DeviceWorker::refine`], without those of a budget of bytes.
     pub async fn improve(
         &self,
         volume: &VolumeStep,
@@ -113,7 +115,7 @@ impl DeviceWorker {
     /// marching-cubes mesher, and if the surface has no triangles.
     ///
     /// # Errors
-    /// As [`DeviceWorker::refine`].
+    /// The device's errors.
     pub async fn measure(
         &self,
         volume: &VolumeStep,
@@ -154,7 +156,8 @@ impl DeviceWorker {
         self.extract_with(volume, view, work, token).await
     }
 
-    /// As [`DeviceWorker::extract`], measured and refined as `work` says.
+    /// As [`DeviceWorker::extract`], measured and refined as `work` says. If measuring takes longer than allowed, the surface is returned
+    /// without its error.
     ///
     /// # Errors
     /// As [`DeviceWorker::refine`].
@@ -166,40 +169,49 @@ impl DeviceWorker {
         token: &CancellationToken,
     ) -> Result<Extraction, WorkError> {
         let start = Instant::now();
-        let fitted = self.with_fitted_bytes(Caller::Request, volume, view, token).await?;
-        let planning = if fitted.fitted == view.fitted {
+        let fitted_view = self.with_fitted_bytes(Caller::Request, volume, view, token).await?;
+        let fit_time = if fitted_view.fitted == view.fitted {
             Duration::ZERO
         } else {
             start.elapsed()
         };
-        let make = |measures| {
-            let making = Making {
-                measures,
-                refining: work.refining,
-                ..Making::default()
-            };
-            self.make(Caller::Request, volume, &fitted, making, token)
+        let making = Making {
+            measures: work.measuring == Measuring::Always,
+            refining: work.refining,
+            ..Making::default()
         };
-        let mut extraction = make(work.measuring == Measuring::Always).await?;
-        extraction.wall += planning;
+        let mut extraction = self.make(Caller::Request, volume, &fitted_view, making, token).await?;
+        extraction.wall += fit_time;
         if let Measuring::Within(limit) = work.measuring {
-            let measured = async {
-                // A refined cut is not cached, so the surface is made again and measured.
-                if extraction.refined.is_some() {
-                    let again = make(true).await?;
-                    return Ok(again.statistics(volume, "").error);
-                }
-                let measured = self
-                    .measure_for(Caller::Request, volume, &extraction.view, token)
-                    .await?;
-                Ok::<_, WorkError>(measured.map(|measurement| measurement.whole))
-            };
             // The time-out drops the future, which cancels the job.
-            if let Ok(measured) = tokio::time::timeout(limit, measured).await {
-                extraction.measured = measured?;
+            let error = self.error_of(&extraction, volume, making, token);
+            if let Ok(error) = tokio::time::timeout(limit, error).await {
+                extraction.measured = error?;
             }
         }
         Ok(extraction)
+    }
+
+    /// Measures the error of a surface that was made in this way; `None` as for [`DeviceWorker::measure`].
+    async fn error_of(
+        &self,
+        extraction: &Extraction,
+        volume: &VolumeStep,
+        making: Making,
+        token: &CancellationToken,
+    ) -> Result<Option<MeasuredError>, WorkError> {
+        let view = &extraction.view;
+        // A refined cut is not cached, so the surface is made again and measured.
+        if extraction.refined.is_some() {
+            let measured = Making {
+                measures: true,
+                ..making
+            };
+            let again = self.make(Caller::Request, volume, view, measured, token).await?;
+            return Ok(again.statistics(volume, "").error);
+        }
+        let measured = self.measure_for(Caller::Request, volume, view, token).await?;
+        Ok(measured.map(|measurement| measurement.whole))
     }
 
     /// Answers a question about the surface that a viewer is shown; if none is shown, a probe is answered for the volume alone. `token` as
@@ -222,7 +234,7 @@ impl DeviceWorker {
         self.perform(Caller::Viewer, request, token).await
     }
 
-    /// Returns the view with the fit that keeps its budget of bytes, if it has one.
+    /// Returns the view with its fit, if it has a budget of bytes: the threshold that keeps the budget.
     async fn with_fitted_bytes(
         &self,
         caller: Caller,
@@ -237,7 +249,7 @@ impl DeviceWorker {
         Ok(view)
     }
 
-    /// Finds how many triangles, and thus which threshold, take `budget` bytes on the wire: makes a surface, measures its bytes and
+    /// Finds how many triangles, and thus which error threshold, take `budget` bytes on the wire: makes a surface, measures its bytes and
     /// corrects the estimate.
     ///
     /// # Errors
@@ -251,24 +263,26 @@ impl DeviceWorker {
         token: &CancellationToken,
     ) -> Result<Fitted, WorkError> {
         let mut search = ByteSearch::new(budget);
-        while let Some(trial) = search.next_trial(view, self.ceiling) {
+        while let Some(trial_view) = search.next_trial(view, self.ceiling) {
             let making = Making {
                 measures: false,
                 ..Making::default()
             };
-            let extraction = match self.make(caller, volume, &trial, making, token).await {
+            let extraction = match self.make(caller, volume, &trial_view, making, token).await {
                 Ok(extraction) => extraction,
                 Err(error) => {
+                    // A surface that is too large is a result of the search; other errors end it.
                     search.refuse(error)?;
                     continue;
                 }
             };
+            // The same fit again: the search has converged.
             let Some(fitted) = search.new_fit(&extraction.view) else {
                 break;
             };
             let triangles = extraction.surface.statistics.triangles;
             let regions = extraction.surface.regions.len() as u64;
-            let bytes = self.bytes_of(extraction.surface, caller, token).await?;
+            let bytes = self.count_bytes(extraction.surface, caller, token).await?;
             let trial = Trial {
                 triangles,
                 bytes,
@@ -279,7 +293,7 @@ impl DeviceWorker {
         search.end()
     }
 
-    /// Makes the final surface of a view, within the server's limits too.
+    /// Makes the final surface of a view, within the limits of [`DeviceWorker::within_memory`].
     async fn make(
         &self,
         caller: Caller,
@@ -299,8 +313,8 @@ impl DeviceWorker {
         .await
     }
 
-    /// Makes a surface whose triangles exceed neither the server's limit nor the memory of the host. If memory is short, evicts caches and
-    /// retries once.
+    /// Calls `make` with the maximum triangles of a surface: those that the handle allows and the host has memory for. If that is too few,
+    /// evicts caches and retries once.
     async fn within_memory<T, F>(&self, make: impl Fn(u64) -> F) -> Result<T, WorkError>
     where
         F: Future<Output = Result<T, WorkError>>,
@@ -308,6 +322,7 @@ impl DeviceWorker {
         let try_now = async || {
             let memory = HostMemory::now();
             let made = make(self.ceiling.min(memory.triangles())).await;
+            // Too many triangles for the memory, not for the handle, are `HostBusy`.
             made.map_err(|error| memory.explain(error, self.ceiling))
         };
         match try_now().await {
@@ -319,7 +334,8 @@ impl DeviceWorker {
         }
     }
 
-    async fn bytes_of(&self, surface: Surface, caller: Caller, token: &CancellationToken) -> Result<u64, WorkError> {
+    /// Returns the bytes of a surface's chunks, encoded on the pool of this caller.
+    async fn count_bytes(&self, surface: Surface, caller: Caller, token: &CancellationToken) -> Result<u64, WorkError> {
         let token = token.clone();
         let count = move || encoded_bytes(&surface, &|| token.is_cancelled());
         let counted = match caller {

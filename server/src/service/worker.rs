@@ -13,8 +13,8 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use isopeel_extraction::{
-    CheckAnswers, DeviceReply, DeviceRequest, EngineId, FindResident, HistogramCache, JobError, Request, UserTimes,
-    VolumeKey, WorkError, WorkspaceMemory,
+    CheckAnswers, DeviceReply, DeviceRequest, EngineId, FindResident, HistogramCache, JobError, OpenSteps, Request,
+    UserTimes, VolumeKey, WorkError, WorkspaceMemory,
 };
 use isopeel_kernels::{DeviceInfo, Error};
 use isopeel_view::View;
@@ -25,7 +25,6 @@ use tokio_util::sync::CancellationToken;
 use super::device_thread::{DeviceOptions, DeviceState, DeviceThread, Preparation};
 use super::job::{DeviceJob, length_of};
 use super::loading::{FieldWork, Loads, OpeningWatch};
-use super::open_steps::AheadState;
 use super::overview_cache::Overviews;
 use super::pins::WaitingPins;
 use super::scheduler::{Caller, Length, Permits, job_labels};
@@ -75,7 +74,10 @@ pub(super) struct Shared {
     /// Time of the last successful probe. Locked during a probe, so that other callers wait for its result.
     last_probe: tokio::sync::Mutex<Option<Instant>>,
     pub loads: Loads,
-    pub ahead: AheadState,
+    /// Shared with the thread, which does not evict their fields for others that are read ahead.
+    pub open_steps: OpenSteps,
+    /// Permits to read a time step ahead. One, because each occupies a disk, and a processor if it is compressed.
+    pub ahead_permits: Semaphore,
     permits: Permits,
     /// Shared with the thread, which evicts volumes that are not pinned.
     pub pins: WaitingPins,
@@ -124,6 +126,7 @@ impl DeviceWorker {
         let (memory, memory_receiver) = watch::channel(WorkspaceMemory::default());
         let histograms = HistogramCache::default();
         let pins = WaitingPins::default();
+        let open_steps = OpenSteps::default();
         let proven = Arc::new(OnceLock::new());
         let engine = Arc::new(AtomicU64::default());
         let thread = DeviceThread {
@@ -137,6 +140,7 @@ impl DeviceWorker {
             engine: Arc::clone(&engine),
             histograms: histograms.clone(),
             pins: pins.pins.clone(),
+            open_steps: open_steps.clone(),
             proven: Arc::clone(&proven),
         };
         let thread = std::thread::Builder::new()
@@ -155,7 +159,8 @@ impl DeviceWorker {
                 slice_permit: Semaphore::new(1),
                 last_probe: tokio::sync::Mutex::default(),
                 loads: Loads::new(),
-                ahead: AheadState::new(),
+                open_steps,
+                ahead_permits: Semaphore::new(1),
                 permits: Permits::new(VIEWER_JOBS),
                 pins,
                 proven,
@@ -302,7 +307,7 @@ impl DeviceWorker {
         let request = request.into();
         let length = length_of(&request, caller);
         let reply = self.run_as(length, caller, request, token).await?;
-        R::take_reply(reply).ok_or_else(|| WorkError::Stopped.into())
+        Ok(reply_of::<R>(reply)?)
     }
 
     /// As [`DeviceWorker::run`], as a job of this length.
@@ -341,7 +346,7 @@ impl DeviceWorker {
         }
     }
 
-    /// Runs a request that uses no volume and is finished even if its caller is gone.
+    /// Runs a request that needs no resident field. It is not retried, and finished even if its caller is gone.
     pub(super) async fn run_for_cache<R: Request>(&self, request: R) -> Result<R::Reply, WorkError> {
         Ok(self.run(Caller::Cache, request, &CancellationToken::new()).await?)
     }
@@ -398,4 +403,15 @@ impl DeviceWorker {
             DeviceState::Opening(_) | DeviceState::Ready(_) => WorkError::Stopped,
         }
     }
+}
+
+/// Returns the reply to a request of this type.
+///
+/// # Errors
+/// The reply is that of another type, which is a fault of this program.
+pub(super) fn reply_of<R: Request>(reply: DeviceReply) -> Result<R::Reply, WorkError> {
+    R::take_reply(reply).ok_or_else(|| {
+        tracing::error!(request = std::any::type_name::<R>(), "the reply is of another request");
+        WorkError::Stopped
+    })
 }

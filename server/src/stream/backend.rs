@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use isopeel_extraction::{
-    Answer, EngineId, FullCount, Measurement, Question, Refinement, ShownSurface, Step, WorkError,
+    Answer, EngineId, FullCount, Measurement, OpenStepGuard, Question, Refinement, ShownSurface, Step, WorkError,
 };
 use isopeel_kernels::DeviceKind;
 use isopeel_view::View;
@@ -15,7 +15,7 @@ use tokio_util::sync::CancellationToken;
 
 use crate::access::Identity;
 use crate::error::chain;
-use crate::service::{DeviceState, DeviceWorker, OpenStepGuard, OpeningProgress, OpeningWatch, describe};
+use crate::service::{DeviceState, DeviceWorker, OpeningProgress, OpeningWatch, describe};
 
 /// Default bytes of chunks that are cached for viewers of equal views: some dozen surfaces of a million triangles.
 pub const SHARED_BYTES: u64 = 256 << 20;

@@ -110,11 +110,7 @@ impl TwoViewers {
         };
         let token = CancellationToken::new();
         let TwoViewers { worker, volume, view } = &viewers;
-        worker
-            .clone()
-            .refine(volume, view, WHOLE, &token)
-            .await
-            .expect("a surface");
+        worker.refine(volume, view, WHOLE, &token).await.expect("a surface");
         viewers
     }
 

@@ -5,7 +5,6 @@ use std::sync::Arc;
 use isopeel_kernels::{RectilinearGrid, SampleType, Samples};
 use isopeel_volumes::{StepKey, VolumeStep};
 
-use crate::ahead::ReadAhead;
 use crate::context::JobContext;
 use crate::grids::padded_grid;
 use crate::job_error::JobError;
@@ -36,7 +35,7 @@ pub struct Compute {
     pub volume: VolumeStep,
     /// The field.
     pub key: VolumeKey,
-    /// The user who is charged for the device time; `None`: nobody.
+    /// The user who is charged for the device time; `None`: no user.
     pub user: Option<Arc<str>>,
 }
 
@@ -51,8 +50,8 @@ pub struct BeginUpload {
     pub sample_type: SampleType,
     /// Value of missing samples.
     pub missing: Option<f32>,
-    /// `Some`: the field is read ahead.
-    pub ahead: Option<ReadAhead>,
+    /// `Some`: the field is read ahead, within these bytes of all fields that were read ahead and are not used yet.
+    pub ahead_budget: Option<u64>,
 }
 
 /// Sends the next samples of a field. See [`Workspace::continue_upload`].
@@ -91,8 +90,8 @@ pub struct MakeSpaceAhead {
     pub volume: VolumeStep,
     /// The field.
     pub key: VolumeKey,
-    /// Its limits.
-    pub ahead: ReadAhead,
+    /// Maximum bytes of all fields that were read ahead and are not used yet.
+    pub budget: u64,
 }
 
 /// Makes sure that the host has this much memory. See [`Workspace::make_host_space`].
@@ -132,10 +131,10 @@ impl BeginUpload {
             grid,
             sample_type,
             missing,
-            ahead,
+            ahead_budget,
         } = self;
-        match ahead {
-            Some(ahead) => workspace.begin_upload_ahead(&key, &grid, sample_type, missing, &ahead),
+        match ahead_budget {
+            Some(budget) => workspace.begin_upload_ahead(&key, &grid, sample_type, missing, budget),
             None => workspace.begin_upload(key, &grid, sample_type, missing).map(|()| true),
         }
     }
@@ -171,7 +170,7 @@ impl MakeSpaceAhead {
         let grid = padded_grid(&self.volume, self.key.padded)?;
         let sample_bytes = self.key.sample_bytes(&self.volume)?;
         let bytes = workspace.engine().upload_bytes(grid.grid(), sample_bytes);
-        Ok(!workspace.is_resident(&self.key) && workspace.make_space_ahead(bytes, &self.ahead))
+        Ok(!workspace.is_resident(&self.key) && workspace.make_space_ahead(bytes, self.budget))
     }
 }
 

@@ -1,4 +1,5 @@
-//! Transactions of clients. Each names an owner, and finds only the jobs of this owner.
+//! Transactions of clients. Each names an owner, and finds only the jobs of this owner; only [`Store::counts`], for metrics, counts those of
+//! all.
 
 use data_encoding::HEXLOWER;
 use isopeel_extraction::MeasuredError;

@@ -1,6 +1,7 @@
 //! The open volume and its surfaces.
 
 use isopeel_codec::chunk::MAX_SURFACES;
+use isopeel_extraction::OpenStepGuard;
 use isopeel_view::View;
 use isopeel_volumes::{Lease, VolumeStep};
 use tokio::sync::watch;
@@ -14,7 +15,7 @@ use super::outbox::Newest;
 use super::pending::{BudgetEdit, PendingStep};
 use super::rest::Rest;
 use super::surface::SurfaceSession;
-use crate::service::{OpenStepGuard, OpeningProgress};
+use crate::service::OpeningProgress;
 
 /// The volume of a session, from the message `open` on.
 pub(super) struct OpenVolume {

@@ -5,7 +5,7 @@
 use std::sync::Arc;
 
 use isopeel_codec::chunk::MAX_SURFACES;
-use isopeel_extraction::WorkError;
+use isopeel_extraction::{OpenStepGuard, WorkError};
 use isopeel_view::View;
 use isopeel_volumes::VolumeStep;
 use serde_json::value::RawValue;
@@ -18,7 +18,6 @@ use super::jobs::{BoxFuture, DeviceDone};
 use super::open_volume::{OpenVolume, OpeningPhase};
 use super::pending::PendingStep;
 use super::rest::REST_AFTER;
-use crate::service::OpenStepGuard;
 use crate::wire::messages::ServerMessage;
 
 /// Maximum stride between two consecutive steps for which the next step is predicted.
