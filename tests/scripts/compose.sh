@@ -155,7 +155,8 @@ done
 sleep 4
 before=$(cat "$work"/client-? | wc -l)
 start=$EPOCHREALTIME
-run stop 2>/dev/null
+# As without Compose.
+docker stop --time 25 "$(run ps --quiet cpu)" >/dev/null
 seconds=$(echo "$start $EPOCHREALTIME" | awk '{ printf "%.1f", $2 - $1 }')
 wait "${clients[@]}"
 all=$(cat "$work"/client-? | wc -l) broken=$(cat "$work"/client-? | grep --count --invert-match '^200$' || true)
@@ -186,8 +187,8 @@ echo "=== with TLS"
 if "${compose[@]}" -f docker/compose.yaml -f docker/compose.tls.yaml config >"$work/answer" 2>&1 || ! grep --quiet "required variable ISOPEEL_.* is missing a value: set it to" "$work/answer"; then
     fail "what is missing for TLS is not named: $(cat "$work/answer")"
 fi
-openssl req -x509 -newkey rsa:2048 -nodes -days 2 -subj /CN=localhost -addext subjectAltName=DNS:localhost,DNS:volumes.test \
-    -keyout "$work/key.pem" -out "$work/certificate.pem" 2>/dev/null
+new_certificate() { openssl req -x509 -newkey rsa:2048 -nodes -days 2 -subj /CN=localhost -addext subjectAltName=DNS:localhost,DNS:volumes.test -keyout "$1" -out "$2" 2>/dev/null; }
+new_certificate "$work/key.pem" "$work/certificate.pem"
 openssl rand -hex 32 >"$work/token"
 chmod 600 "$work/key.pem" "$work/token"
 export ISOPEEL_USER=1234567
@@ -202,4 +203,14 @@ echo "ready after $(ready "${tls[@]}" "https://localhost:$ISOPEEL_PORT/readyz") 
 answer 200 "${tls[@]}" --header "Authorization: Bearer $(cat "$work/token")" "https://volumes.test:$ISOPEEL_PORT/api/v1/volumes"
 answer 401 "${tls[@]}" "https://localhost:$ISOPEEL_PORT/api/v1/volumes"
 healthy
+# A certificate that was renewed, in the files that the container has.
+new_certificate "$work/key.new" "$work/certificate.new"
+cat "$work/key.new" >"$work/key.pem"
+cat "$work/certificate.new" >"$work/certificate.pem"
+run kill --signal HUP cpu 2>/dev/null
+for _ in $(seq 50); do
+    curl --silent --output /dev/null "${tls[@]}" "https://localhost:$ISOPEEL_PORT/healthz" && break
+    sleep 0.1
+done
+answer 200 "${tls[@]}" "https://localhost:$ISOPEEL_PORT/healthz"
 echo "compose.sh: all passed"
