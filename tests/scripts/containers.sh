@@ -48,11 +48,38 @@ build() {
     printf '%s: %s, %d s\n' "$2" "$(podman image inspect --format '{{.Size}}' "localhost/$2" | numfmt --to=si --suffix=B)" $((SECONDS - start))
 }
 
+# As docker/README.md has it: a file, which a debugger finds for the binary of the image by the checksum that this names.
+build_symbols() {
+    local container root
+    buildah build --isolation chroot --layers "${mounts[@]}" --target symbols --output "$work/symbols" --build-arg BASE_IMAGE=localhost/isopeel-debian \
+        --build-arg RUST_IMAGE=localhost/isopeel-rust --build-arg NODE_IMAGE=localhost/isopeel-node --file docker/Dockerfile . >>"$log" 2>&1 || fail "could not build symbols"
+    container=$(buildah from --pull=never localhost/isopeel:cpu)
+    root=$(buildah mount "$container")
+    python3 - "$root/usr/local/bin/isopeel" "$work/symbols/isopeel.debug" <<'SCRIPT' || fail "the symbols are not those of the image's binary"
+import subprocess, sys, zlib
+binary, symbols = sys.argv[1:]
+links = subprocess.run(["readelf", "--debug-dump=links", binary], capture_output=True, text=True).stdout
+assert "Separate debug info file: isopeel.debug" in links, links
+assert int(links.split("CRC value:")[1].split()[0], 16) == zlib.crc32(open(symbols, "rb").read()), f"another checksum: {links}"
+lines = subprocess.run(["readelf", "--debug-dump=decodedline", symbols], check=True, capture_output=True).stdout.count(b"main.rs")
+assert lines > 0, "no line numbers"
+print(f"{len(open(symbols, 'rb').read()) / 1e6:.0f} MB, with line numbers; the binary has {len(open(binary, 'rb').read()) / 1e6:.0f} MB")
+SCRIPT
+    buildah umount "$container" >/dev/null
+    buildah rm "$container" >/dev/null
+}
+
 say "images"
 build cpu isopeel:cpu
 build gpu isopeel
 build mesa isopeel:mesa trixie
 build intel isopeel:intel
+
+# With `packed` they are a file of the release.
+if [ "${BINARY:-compiled}" = compiled ]; then
+    say "symbols of the images' binary"
+    build_symbols
+fi
 
 say "without a device each says so"
 for image in isopeel isopeel:mesa isopeel:intel; do
