@@ -45,7 +45,7 @@ code=0
 SLURM_ARRAY_TASK_ID=0 SLURM_ARRAY_TASK_MIN=0 SLURM_ARRAY_TASK_MAX=0 SLURM_ARRAY_TASK_COUNT=1 ISOPEEL=$binary \
     bash "$repository/docker/isopeel-batch.slurm" list surfaces --iso 100 --format stl 2>log || code=$?
 [ "$code" = 1 ] || fail "a task with a file that cannot be read ended with $code: $(cat log)"
-grep -h '"error"' surfaces/*/manifest.jsonl >failures
+grep -h '"problem"' surfaces/*/manifest.jsonl >failures
 [ "$(wc -l <failures)" = 1 ] && grep --quiet broken.nrrd failures || fail "failures: $(cat failures)"
 [ "$(find surfaces -name '*.stl' | wc -l)" = 1 ] || fail "the other file has no surface: $(find surfaces)"
 cd ..
