@@ -76,6 +76,17 @@ new_token() { run exec --no-TTY cpu isopeel token create --user ann --role view 
 
 url=http://127.0.0.1:$ISOPEEL_PORT
 files+=(-f "$work/test.yaml")
+echo "=== what is only read"
+# All that .env.example suggests, for the processor and for a GPU.
+sed -n 's/^#\(ISOPEEL_\)/\1/p' docker/.env.example >"$work/env"
+read_all() { "${compose[@]}" --env-file "$work/env" -f docker/compose.yaml -f docker/compose.tls.yaml --profile gpu config; }
+env -u ISOPEEL_PORT bash -c "$(declare -f read_all); $(declare -p compose work); read_all" >"$work/answer" 2>&1 || fail "cannot be read: $(cat "$work/answer")"
+while IFS== read -r variable value; do
+    grep --quiet --fixed-strings -e "$value" "$work/answer" || fail "$variable of .env.example changes nothing"
+done <"$work/env"
+grep --quiet 'driver: nvidia' "$work/answer" || fail "the service gpu asks for no GPU"
+echo "$(wc -l <"$work/env") variables of .env.example, and the service gpu"
+
 echo "=== build"
 run build --quiet cpu >"$work/answer" 2>&1 || fail "does not build: $(cat "$work/answer")"
 # As to a machine without a registry.
