@@ -290,7 +290,7 @@ pub const IN_TEXT: &[(&str, How)] = &[
     ("cargo run --release --package isopeel-kernels --example derive_cost", Not("measures; needs an idle machine")),
     ("cargo run --release -p isopeel-kernels --example distance_cost", Not("measures; needs an idle machine")),
     ("isopeel bench --volume sin --size 256 512 --case next --fraction 1", Not("measures; takes minutes")),
-    ("isopeel bench --volume sphere --size 512 --type u8 --save DIR", Not("takes a minute; a smaller one is run here")),
+    ("isopeel bench --volume sphere --size 512 --type u8 --save DIR", Not("takes minutes; a smaller one is run here")),
     ("tests/scripts/bench.py", By("Makefile", "tests/scripts/bench.py")),
     ("tests/scripts/fidelity.py", Not("takes hours, and volumes that are not in the repository")),
     ("tests/scripts/memory.py --volume ct-head.nrrd", Not("takes a volume that is not in the repository")),
