@@ -10,7 +10,7 @@
 #
 # ARCHITECTURES is "amd64" unless it is set, as to "amd64 arm64"; arm64 is compiled on this machine, for which Rust has to have its target. `build` needs
 # Rust and the web client in web/dist, and gets zig and cargo-zigbuild from PyPI. `pack` needs binutils of each architecture, debugedit, dpkg-deb and xz,
-# `images` buildah, and qemu-user-static for another architecture than this machine's. All files have the same bytes for the same commit, compilers and
+# `images` buildah, and qemu-user-static for another architecture than this machine's. Files have the same bytes for the same commit, compilers and
 # base image: BASE_IMAGE, that of the Dockerfile unless it is set. `try` uses tests/scripts/fresh-debian.sh.
 case ${1:-} in -h | --help) sed -n '2,/^[^#]/{/^#/s/^# \{0,1\}//p}' "$0" && exit ;; esac
 set -euo pipefail
@@ -66,16 +66,17 @@ check() {
 ## The binaries
 
 build() {
-    local architecture tools=$PWD/target/dist-venv
+    local architecture tools=$PWD/target/dist-venv cargo=${CARGO_HOME:-$HOME/.cargo} renamed
     if [ ! -x "$tools/bin/cargo-zigbuild" ]; then
         python3 -m venv "$tools"
         "$tools/bin/pip" --quiet install --requirement packaging/requirements.txt
     fi
     # Zig's own objects name the folder in which it lies; a cache of the user's would have that of another build.
     export ZIG_GLOBAL_CACHE_DIR=$PWD/target/zig-cache
+    # Paths of this machine would differ from those of another one.
+    renamed="-ffile-prefix-map=$PWD=/isopeel -ffile-prefix-map=$cargo=/cargo"
     for architecture in "${architectures[@]}"; do
-        # Paths of this machine would differ from those of another one.
-        RUSTFLAGS="--remap-path-prefix=$PWD=/isopeel --remap-path-prefix=${CARGO_HOME:-$HOME/.cargo}=/cargo" \
+        RUSTFLAGS="--remap-path-prefix=$PWD=/isopeel --remap-path-prefix=$cargo=/cargo" CFLAGS=$renamed CXXFLAGS=$renamed \
             CARGO_PROFILE_RELEASE_DEBUG=line-tables-only CARGO_PROFILE_RELEASE_STRIP=none PATH=$tools/bin:$PATH cargo zigbuild --locked --release --package isopeel --target "$(machine_of "$architecture")-unknown-linux-gnu.$glibc"
     done
 }
@@ -140,7 +141,7 @@ make_package() {
 }
 
 # strip_binary ARCHITECTURE: what is compiled, without symbols, which stay beside. The link to them has their checksum, so they have no paths of this
-# machine either: those of Rust are renamed when it compiles, those of C and zig here.
+# machine either: compilers rename those of what they compile, and debugedit those of zig's own objects.
 strip_binary() {
     local binary objcopy symbols=$work/$1/isopeel.debug
     binary=$PWD/target/$(machine_of "$1")-unknown-linux-gnu/release/isopeel
@@ -149,9 +150,7 @@ strip_binary() {
     mkdir -p "$binaries/$1" "$work/$1"
     cp "$binary" "$work/$1/isopeel"
     debugedit --base-dir="$PWD" --dest-dir=/isopeel "$work/$1/isopeel"
-    debugedit --base-dir="${CARGO_HOME:-$HOME/.cargo}" --dest-dir=/cargo "$work/$1/isopeel"
-    # Names of files of assembly, which are symbols.
-    "$objcopy" --only-keep-debug --wildcard --strip-symbol='/*' "$work/$1/isopeel" "$symbols"
+    "$objcopy" --only-keep-debug "$work/$1/isopeel" "$symbols"
     ! grep --quiet --fixed-strings --text -e "$PWD/" -e "${CARGO_HOME:-$HOME/.cargo}/" "$symbols" || fail "$symbols has paths of this machine"
     (cd "$work/$1" && "$objcopy" --strip-all --add-gnu-debuglink=isopeel.debug isopeel "$binaries/$1/isopeel")
     rm "$work/$1/isopeel"

@@ -6,7 +6,7 @@
 #
 # Needs root, Debian, and network (Debian, crates.io, npm). Rust and Node are this machine's own, copied into images that only
 # build. What this machine needs to reach the network (certificates, ~/.npmrc, ~/.cargo/config.toml) is mounted while they build
-# and stays out of the images. Bases are those of tests/scripts/base-images.sh. BINARY=packed
+# and stays out of the images. Bases are those of tests/scripts/base-images.sh. IMAGE_BINARY=packed
 # takes the binary of `make dist` instead of compiling another one. ISOPEEL_LOG is where the builds' output goes.
 case ${1:-} in -h | --help) sed -n '2,/^[^#]/{/^#/s/^# \{0,1\}//p}' "$0" && exit ;; esac
 set -euo pipefail
@@ -42,7 +42,7 @@ mounts=(--volume "$(realpath /etc/ssl/certs/ca-certificates.crt):/etc/ssl/certs/
 build() {
     local start=$SECONDS
     # Debian 12's buildah does not see that the default names a stage.
-    buildah build --isolation chroot --layers "${mounts[@]}" --target "$1" --tag "localhost/$2" --build-arg BINARY="${BINARY:-compiled}" \
+    buildah build --isolation chroot --layers "${mounts[@]}" --target "$1" --tag "localhost/$2" --build-arg BINARY="${IMAGE_BINARY:-compiled}" \
         --build-arg BASE_IMAGE="localhost/isopeel-${3:-debian}" --build-arg RUST_IMAGE=localhost/isopeel-rust \
         --build-arg NODE_IMAGE=localhost/isopeel-node --file docker/Dockerfile . >>"$log" 2>&1 || fail "could not build $1"
     printf '%s: %s, %d s\n' "$2" "$(podman image inspect --format '{{.Size}}' "localhost/$2" | numfmt --to=si --suffix=B)" $((SECONDS - start))
@@ -76,7 +76,7 @@ build mesa isopeel:mesa trixie
 build intel isopeel:intel
 
 # With `packed` they are a file of the release.
-if [ "${BINARY:-compiled}" = compiled ]; then
+if [ "${IMAGE_BINARY:-compiled}" = compiled ]; then
     say "symbols of the images' binary"
     build_symbols
 fi
