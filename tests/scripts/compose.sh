@@ -224,4 +224,11 @@ for _ in $(seq 50); do
     sleep 0.1
 done
 answer 200 "${tls[@]}" "https://localhost:$ISOPEEL_PORT/healthz"
+# One that has another file.
+new_certificate "$work/key.new" "$work/certificate.new"
+chown "$ISOPEEL_USER" "$work/key.new"
+mv "$work/key.new" "$work/key.pem"
+mv "$work/certificate.new" "$work/certificate.pem"
+run up --force-recreate --detach cpu 2>/dev/null || fail "does not start with another certificate"
+echo "ready after $(ready "${tls[@]}" "https://localhost:$ISOPEEL_PORT/readyz") s with another certificate"
 echo "compose.sh: all passed"

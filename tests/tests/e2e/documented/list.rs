@@ -249,6 +249,8 @@ pub const IN_TEXT: &[(&str, How)] = &[
     ("docker run --init -v isopeel:/var/lib/isopeel …", By("tests/scripts/podman.sh", "--volume \"$name:/var/lib/isopeel\"")),
     ("docker run --user 1234:0", By("tests/scripts/podman.sh", "--user 1234:0")),
     ("docker compose kill --signal HUP", By(COMPOSE, "kill --signal HUP")),
+    ("docker compose up --force-recreate", By(COMPOSE, "up --force-recreate")),
+    ("cat renewed.pem >FILE", By(COMPOSE, "cat \"$work/certificate.new\" >\"$work/certificate.pem\"")),
     ("docker load", By(COMPOSE, "docker load")),
     ("podman load", By("tests/scripts/podman.sh", "podman load")),
     ("skopeo copy oci-archive:FILE docker-daemon:isopeel:cpu", By("tests/scripts/apptainer.sh", "skopeo copy --quiet \"oci-archive:")),
