@@ -90,7 +90,9 @@ check_binary() {
     newest=$("$objdump" --dynamic-syms "$2" | grep --only-matching 'GLIBC_[0-9.]*' | sort --version-sort --unique | tail -n 1)
     [ "$(printf '%s\n' "GLIBC_$glibc" "$newest" | sort --version-sort | tail -n 1)" = "GLIBC_$glibc" ] ||
         fail "$2 needs $newest, expected GLIBC_$glibc or older"
-    if "$objdump" --dynamic-syms "$2" | grep --quiet 'GLIBCXX_\|CXXABI_'; then
+    # Not by a pipe: one that grep closes early counts as a failure, and the symbols as absent.
+    "$objdump" --dynamic-syms "$2" >"$work/dynamic"
+    if grep --quiet 'GLIBCXX_\|CXXABI_' "$work/dynamic"; then
         fail "$2 needs libstdc++, expected none"
     fi
     libraries=$("$objdump" --private-headers "$2" | sed -n 's/^ *NEEDED *//p' | grep --invert-match --line-regexp 'lib\(c\|m\|dl\|rt\|pthread\|util\)\.so\.[0-9]*\|ld-linux-[a-z0-9-]*\.so\.[12]' || true)
@@ -233,7 +235,8 @@ in_root() {
     # PoCL 1.6 of Debian 11 compiles for few processors.
     if ! "./$2/isopeel" extract - --iso 100 --format stl -o tarball.stl <"$3" 2>log; then
         grep --quiet 'Update or replace the driver' log || { cat log >&2 && exit 1; }
-        isopeel info - <"$3" | grep --quiet '16 x 16 x 16'
+        isopeel info - <"$3" >info
+        grep --quiet '16 x 16 x 16' info
         isopeel token create --state-folder state --user ann --role view | grep --quiet '^isop_'
         dpkg --purge isopeel >/dev/null
         echo "$PRETTY_NAME: tarball and package run, but its PoCL does not compile for this processor: tried without a device"
@@ -247,7 +250,9 @@ in_root() {
         [ "$(curl --silent --output answer --write-out '%{http_code}' http://127.0.0.1:8471/readyz)" = 200 ] && break
         sleep 1
     done
-    curl --fail --silent http://127.0.0.1:8471/ | grep --quiet '<script'
+    # Not by a pipe, which grep would close before curl has written all.
+    curl --fail --silent --output page http://127.0.0.1:8471/
+    grep --quiet '<script' page
     kill "$server" && wait "$server"
     dpkg --purge isopeel >/dev/null
     [ ! -e /usr/bin/isopeel ] && [ ! -e /etc/isopeel ]
