@@ -224,7 +224,12 @@ test-apptainer: ## the same by Apptainer and docker/isopeel.def, in a root of De
 	tests/scripts/apptainer.sh $(ARCHIVE)
 
 export ARCHITECTURES ?= amd64
-dist: web-client ## what a release has, in target/dist: tarball and Debian package against an old glibc, licences, bill of materials, OCI archives, checksums; as root
+# First, and not with the web client, for what is missing.
+.PHONY: dist-check
+dist-check:
+	packaging/dist.sh check
+
+dist: dist-check web-client ## what a release has, in target/dist: tarball and Debian package against an old glibc, licences, bill of materials, OCI archives, checksums; as root
 	packaging/dist.sh build
 	packaging/dist.sh pack
 	packaging/dist.sh images

@@ -2,14 +2,15 @@
 # What a release consists of, in target/dist: of each architecture a tarball, a Debian package, symbols and images of containers; licences, a bill of
 # materials and checksums.
 #
+#   packaging/dist.sh check         says what is missing on this machine, before anything is compiled
 #   packaging/dist.sh build         compiles the binaries against an old glibc
 #   packaging/dist.sh pack          makes the files of them
 #   packaging/dist.sh images        makes OCI archives of them, by the targets cpu and gpu of docker/Dockerfile; as root
 #   packaging/dist.sh try SUITE...  installs and runs tarball and package in roots of these Debian releases; as root, or after it made the roots once
 #
 # ARCHITECTURES is "amd64" unless it is set, as to "amd64 arm64"; arm64 is compiled on this machine, for which Rust has to have its target. `build` needs
-# Rust and the web client in web/dist, and gets zig and cargo-zigbuild from PyPI. `pack` needs binutils of each architecture, dpkg-deb and xz, `images`
-# buildah, and qemu-user-static for another architecture than this machine's. All but the symbols have the same bytes for the same commit, compilers and
+# Rust and the web client in web/dist, and gets zig and cargo-zigbuild from PyPI. `pack` needs binutils of each architecture, debugedit, dpkg-deb and xz,
+# `images` buildah, and qemu-user-static for another architecture than this machine's. Files have the same bytes for the same commit, compilers and
 # base image: BASE_IMAGE, that of the Dockerfile unless it is set. `try` uses tests/scripts/fresh-debian.sh.
 case ${1:-} in -h | --help) sed -n '2,/^[^#]/{/^#/s/^# \{0,1\}//p}' "$0" && exit ;; esac
 set -euo pipefail
@@ -42,15 +43,40 @@ machine_of() {
 tool() { echo "$(machine_of "$1")-linux-gnu-$2"; }
 name_of() { echo "isopeel-$version-$(machine_of "$1")-linux"; }
 
+## What it needs
+
+base_image() { echo "${BASE_IMAGE:-$(sed -n 's/^ARG BASE_IMAGE=//p' docker/Dockerfile)}"; }
+
+check() {
+    local architecture program
+    for architecture in "${architectures[@]}"; do
+        command -v "$(tool "$architecture" objcopy)" >/dev/null || fail "needs $(tool "$architecture" objcopy): apt-get install binutils-$(machine_of "$architecture" | tr _ -)-linux-gnu"
+    done
+    for program in debugedit dpkg-deb xz buildah; do
+        command -v "$program" >/dev/null || fail "needs $program: apt-get install debugedit dpkg xz-utils buildah"
+    done
+    python3 -c 'import ensurepip' 2>/dev/null || fail "needs Python's venv: apt-get install python3-venv"
+    # The images come last.
+    for architecture in "${architectures[@]}"; do
+        buildah inspect --type image "$(base_image)" >/dev/null 2>&1 || buildah pull --quiet --platform "linux/$architecture" "$(base_image)" >/dev/null ||
+            fail "cannot get the base image $(base_image); BASE_IMAGE names another one, such as that of tests/scripts/base-images.sh debian: localhost/isopeel-debian"
+    done
+}
+
+## The binaries
+
 build() {
-    local architecture tools=$PWD/target/dist-venv
+    local architecture tools=$PWD/target/dist-venv cargo=${CARGO_HOME:-$HOME/.cargo} renamed
     if [ ! -x "$tools/bin/cargo-zigbuild" ]; then
         python3 -m venv "$tools"
         "$tools/bin/pip" --quiet install --requirement packaging/requirements.txt
     fi
+    # Zig's own objects name the folder in which it lies; a cache of the user's would have that of another build.
+    export ZIG_GLOBAL_CACHE_DIR=$PWD/target/zig-cache
+    # Paths of this machine would differ from those of another one.
+    renamed="-ffile-prefix-map=$PWD=/isopeel -ffile-prefix-map=$cargo=/cargo"
     for architecture in "${architectures[@]}"; do
-        # Paths of this machine would differ from those of another one.
-        RUSTFLAGS="--remap-path-prefix=$PWD=/isopeel --remap-path-prefix=${CARGO_HOME:-$HOME/.cargo}=/cargo" \
+        RUSTFLAGS="--remap-path-prefix=$PWD=/isopeel --remap-path-prefix=$cargo=/cargo" CFLAGS=$renamed CXXFLAGS=$renamed \
             CARGO_PROFILE_RELEASE_DEBUG=line-tables-only CARGO_PROFILE_RELEASE_STRIP=none PATH=$tools/bin:$PATH cargo zigbuild --locked --release --package isopeel --target "$(machine_of "$architecture")-unknown-linux-gnu.$glibc"
     done
 }
@@ -64,7 +90,9 @@ check_binary() {
     newest=$("$objdump" --dynamic-syms "$2" | grep --only-matching 'GLIBC_[0-9.]*' | sort --version-sort --unique | tail -n 1)
     [ "$(printf '%s\n' "GLIBC_$glibc" "$newest" | sort --version-sort | tail -n 1)" = "GLIBC_$glibc" ] ||
         fail "$2 needs $newest, expected GLIBC_$glibc or older"
-    if "$objdump" --dynamic-syms "$2" | grep --quiet 'GLIBCXX_\|CXXABI_'; then
+    # Not by a pipe: one that grep closes early counts as a failure, and the symbols as absent.
+    "$objdump" --dynamic-syms "$2" >"$work/dynamic"
+    if grep --quiet 'GLIBCXX_\|CXXABI_' "$work/dynamic"; then
         fail "$2 needs libstdc++, expected none"
     fi
     libraries=$("$objdump" --private-headers "$2" | sed -n 's/^ *NEEDED *//p' | grep --invert-match --line-regexp 'lib\(c\|m\|dl\|rt\|pthread\|util\)\.so\.[0-9]*\|ld-linux-[a-z0-9-]*\.so\.[12]' || true)
@@ -114,16 +142,20 @@ make_package() {
     dpkg-deb --root-owner-group -Zxz --build "$root" "$dist/isopeel_${version}_$1.deb" >/dev/null
 }
 
-# strip_binary ARCHITECTURE: what is compiled, without symbols, which stay beside
+# strip_binary ARCHITECTURE: what is compiled, without symbols, which stay beside. The link to them has their checksum, so they have no paths of this
+# machine either: compilers rename those of what they compile, and debugedit those of zig's own objects.
 strip_binary() {
-    local binary objcopy
+    local binary objcopy symbols=$work/$1/isopeel.debug
     binary=$PWD/target/$(machine_of "$1")-unknown-linux-gnu/release/isopeel
     objcopy=$(tool "$1" objcopy)
     [ -x "$binary" ] || fail "$binary is not there: packaging/dist.sh build"
     mkdir -p "$binaries/$1" "$work/$1"
-    "$objcopy" --only-keep-debug "$binary" "$work/$1/isopeel.debug"
-    # No link to the symbols, which has their checksum: they have paths of this machine, of what is compiled from C.
-    "$objcopy" --strip-all "$binary" "$binaries/$1/isopeel"
+    cp "$binary" "$work/$1/isopeel"
+    debugedit --base-dir="$PWD" --dest-dir=/isopeel "$work/$1/isopeel"
+    "$objcopy" --only-keep-debug "$work/$1/isopeel" "$symbols"
+    ! grep --quiet --fixed-strings --text -e "$PWD/" -e "${CARGO_HOME:-$HOME/.cargo}/" "$symbols" || fail "$symbols has paths of this machine"
+    (cd "$work/$1" && "$objcopy" --strip-all --add-gnu-debuglink=isopeel.debug isopeel "$binaries/$1/isopeel")
+    rm "$work/$1/isopeel"
     check_binary "$1" "$binaries/$1/isopeel"
 }
 
@@ -163,7 +195,7 @@ pack() {
 # image_of ARCHITECTURE TARGET: dist/isopeel-VERSION-TARGET-ARCHITECTURE.oci.tar
 image_of() {
     local tag=localhost/isopeel:$version-$2-$1 base digest
-    base=${BASE_IMAGE:-$(sed -n 's/^ARG BASE_IMAGE=//p' docker/Dockerfile)}
+    base=$(base_image)
     # One that this machine has made has no other name.
     digest=${base##*@}
     [ "$digest" != "$base" ] || digest=$(buildah inspect --type image --format '{{.FromImageDigest}}' "$base")
@@ -182,7 +214,6 @@ image_of() {
 
 images() {
     local architecture target
-    command -v buildah >/dev/null || fail "needs buildah: apt-get install buildah"
     for architecture in "${architectures[@]}"; do
         [ -x "$binaries/$architecture/isopeel" ] || fail "$binaries/$architecture/isopeel is not there: packaging/dist.sh pack"
         for target in cpu gpu; do image_of "$architecture" "$target"; done
@@ -204,7 +235,8 @@ in_root() {
     # PoCL 1.6 of Debian 11 compiles for few processors.
     if ! "./$2/isopeel" extract - --iso 100 --format stl -o tarball.stl <"$3" 2>log; then
         grep --quiet 'Update or replace the driver' log || { cat log >&2 && exit 1; }
-        isopeel info - <"$3" | grep --quiet '16 x 16 x 16'
+        isopeel info - <"$3" >info
+        grep --quiet '16 x 16 x 16' info
         isopeel token create --state-folder state --user ann --role view | grep --quiet '^isop_'
         dpkg --purge isopeel >/dev/null
         echo "$PRETTY_NAME: tarball and package run, but its PoCL does not compile for this processor: tried without a device"
@@ -218,7 +250,9 @@ in_root() {
         [ "$(curl --silent --output answer --write-out '%{http_code}' http://127.0.0.1:8471/readyz)" = 200 ] && break
         sleep 1
     done
-    curl --fail --silent http://127.0.0.1:8471/ | grep --quiet '<script'
+    # Not by a pipe, which grep would close before curl has written all.
+    curl --fail --silent --output page http://127.0.0.1:8471/
+    grep --quiet '<script' page
     kill "$server" && wait "$server"
     dpkg --purge isopeel >/dev/null
     [ ! -e /usr/bin/isopeel ] && [ ! -e /etc/isopeel ]
@@ -243,9 +277,10 @@ work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
 
 case ${1:-} in
+check) check ;;
 build) build ;;
 pack) pack ;;
 images) images ;;
 try) shift && try "$@" ;;
-*) sed -n '2,10s/^# \{0,1\}//p' "$0" && exit 2 ;;
+*) sed -n '2,11s/^# \{0,1\}//p' "$0" && exit 2 ;;
 esac

@@ -35,7 +35,7 @@ in_root() {
         [ "$(curl --silent --output /dev/null --write-out '%{http_code}' http://127.0.0.1:18492/readyz)" = 200 ] && break
         sleep 1
     done
-    curl --fail --silent http://127.0.0.1:18492/ | grep --quiet '<script' || { cat log >&2 && exit 1; }
+    curl --fail --silent --output page http://127.0.0.1:18492/ && grep --quiet '<script' page || { cat log >&2 && exit 1; }
     kill "$server" && wait "$server"
     echo "$(stat --format %s isopeel.sif | numfmt --to=si --suffix=B): a surface and the page"
 }

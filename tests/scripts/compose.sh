@@ -76,6 +76,17 @@ new_token() { run exec --no-TTY cpu isopeel token create --user ann --role view 
 
 url=http://127.0.0.1:$ISOPEEL_PORT
 files+=(-f "$work/test.yaml")
+echo "=== what is only read"
+# All that .env.example suggests, for the processor and for a GPU.
+sed -n 's/^#\(ISOPEEL_\)/\1/p' docker/.env.example >"$work/env"
+read_all() { "${compose[@]}" --env-file "$work/env" -f docker/compose.yaml -f docker/compose.tls.yaml --profile gpu config; }
+env -u ISOPEEL_PORT bash -c "$(declare -f read_all); $(declare -p compose work); read_all" >"$work/answer" 2>&1 || fail "cannot be read: $(cat "$work/answer")"
+while IFS== read -r variable value; do
+    grep --quiet --fixed-strings -e "$value" "$work/answer" || fail "$variable of .env.example changes nothing"
+done <"$work/env"
+grep --quiet 'driver: nvidia' "$work/answer" || fail "the service gpu asks for no GPU"
+echo "$(wc -l <"$work/env") variables of .env.example, and the service gpu"
+
 echo "=== build"
 run build --quiet cpu >"$work/answer" 2>&1 || fail "does not build: $(cat "$work/answer")"
 # As to a machine without a registry.
@@ -155,7 +166,8 @@ done
 sleep 4
 before=$(cat "$work"/client-? | wc -l)
 start=$EPOCHREALTIME
-run stop 2>/dev/null
+# As without Compose.
+docker stop --time 25 "$(run ps --quiet cpu)" >/dev/null
 seconds=$(echo "$start $EPOCHREALTIME" | awk '{ printf "%.1f", $2 - $1 }')
 wait "${clients[@]}"
 all=$(cat "$work"/client-? | wc -l) broken=$(cat "$work"/client-? | grep --count --invert-match '^200$' || true)
@@ -186,8 +198,8 @@ echo "=== with TLS"
 if "${compose[@]}" -f docker/compose.yaml -f docker/compose.tls.yaml config >"$work/answer" 2>&1 || ! grep --quiet "required variable ISOPEEL_.* is missing a value: set it to" "$work/answer"; then
     fail "what is missing for TLS is not named: $(cat "$work/answer")"
 fi
-openssl req -x509 -newkey rsa:2048 -nodes -days 2 -subj /CN=localhost -addext subjectAltName=DNS:localhost,DNS:volumes.test \
-    -keyout "$work/key.pem" -out "$work/certificate.pem" 2>/dev/null
+new_certificate() { openssl req -x509 -newkey rsa:2048 -nodes -days 2 -subj /CN=localhost -addext subjectAltName=DNS:localhost,DNS:volumes.test -keyout "$1" -out "$2" 2>/dev/null; }
+new_certificate "$work/key.pem" "$work/certificate.pem"
 openssl rand -hex 32 >"$work/token"
 chmod 600 "$work/key.pem" "$work/token"
 export ISOPEEL_USER=1234567
@@ -202,4 +214,21 @@ echo "ready after $(ready "${tls[@]}" "https://localhost:$ISOPEEL_PORT/readyz") 
 answer 200 "${tls[@]}" --header "Authorization: Bearer $(cat "$work/token")" "https://volumes.test:$ISOPEEL_PORT/api/v1/volumes"
 answer 401 "${tls[@]}" "https://localhost:$ISOPEEL_PORT/api/v1/volumes"
 healthy
+# A certificate that was renewed, in the files that the container has.
+new_certificate "$work/key.new" "$work/certificate.new"
+cat "$work/key.new" >"$work/key.pem"
+cat "$work/certificate.new" >"$work/certificate.pem"
+run kill --signal HUP cpu 2>/dev/null
+for _ in $(seq 50); do
+    curl --silent --output /dev/null "${tls[@]}" "https://localhost:$ISOPEEL_PORT/healthz" && break
+    sleep 0.1
+done
+answer 200 "${tls[@]}" "https://localhost:$ISOPEEL_PORT/healthz"
+# One that has another file.
+new_certificate "$work/key.new" "$work/certificate.new"
+chown "$ISOPEEL_USER" "$work/key.new"
+mv "$work/key.new" "$work/key.pem"
+mv "$work/certificate.new" "$work/certificate.pem"
+run up --force-recreate --detach cpu 2>/dev/null || fail "does not start with another certificate"
+echo "ready after $(ready "${tls[@]}" "https://localhost:$ISOPEEL_PORT/readyz") s with another certificate"
 echo "compose.sh: all passed"

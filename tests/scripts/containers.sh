@@ -6,7 +6,7 @@
 #
 # Needs root, Debian, and network (Debian, crates.io, npm). Rust and Node are this machine's own, copied into images that only
 # build. What this machine needs to reach the network (certificates, ~/.npmrc, ~/.cargo/config.toml) is mounted while they build
-# and stays out of the images. Bases are those of tests/scripts/base-images.sh. BINARY=packed
+# and stays out of the images. Bases are those of tests/scripts/base-images.sh. IMAGE_BINARY=packed
 # takes the binary of `make dist` instead of compiling another one. ISOPEEL_LOG is where the builds' output goes.
 case ${1:-} in -h | --help) sed -n '2,/^[^#]/{/^#/s/^# \{0,1\}//p}' "$0" && exit ;; esac
 set -euo pipefail
@@ -42,10 +42,31 @@ mounts=(--volume "$(realpath /etc/ssl/certs/ca-certificates.crt):/etc/ssl/certs/
 build() {
     local start=$SECONDS
     # Debian 12's buildah does not see that the default names a stage.
-    buildah build --isolation chroot --layers "${mounts[@]}" --target "$1" --tag "localhost/$2" --build-arg BINARY="${BINARY:-compiled}" \
+    buildah build --isolation chroot --layers "${mounts[@]}" --target "$1" --tag "localhost/$2" --build-arg BINARY="${IMAGE_BINARY:-compiled}" \
         --build-arg BASE_IMAGE="localhost/isopeel-${3:-debian}" --build-arg RUST_IMAGE=localhost/isopeel-rust \
         --build-arg NODE_IMAGE=localhost/isopeel-node --file docker/Dockerfile . >>"$log" 2>&1 || fail "could not build $1"
     printf '%s: %s, %d s\n' "$2" "$(podman image inspect --format '{{.Size}}' "localhost/$2" | numfmt --to=si --suffix=B)" $((SECONDS - start))
+}
+
+# As docker/README.md has it: a file, which a debugger finds for the binary of the image by the checksum that this names.
+build_symbols() {
+    local container root
+    buildah build --isolation chroot --layers "${mounts[@]}" --target symbols --output "$work/symbols" --build-arg BASE_IMAGE=localhost/isopeel-debian \
+        --build-arg RUST_IMAGE=localhost/isopeel-rust --build-arg NODE_IMAGE=localhost/isopeel-node --file docker/Dockerfile . >>"$log" 2>&1 || fail "could not build symbols"
+    container=$(buildah from --pull=never localhost/isopeel:cpu)
+    root=$(buildah mount "$container")
+    python3 - "$root/usr/local/bin/isopeel" "$work/symbols/isopeel.debug" <<'SCRIPT' || fail "the symbols are not those of the image's binary"
+import subprocess, sys, zlib
+binary, symbols = sys.argv[1:]
+links = subprocess.run(["readelf", "--debug-dump=links", binary], capture_output=True, text=True).stdout
+assert "Separate debug info file: isopeel.debug" in links, links
+assert int(links.split("CRC value:")[1].split()[0], 16) == zlib.crc32(open(symbols, "rb").read()), f"another checksum: {links}"
+lines = subprocess.run(["readelf", "--debug-dump=decodedline", symbols], check=True, capture_output=True).stdout.count(b"main.rs")
+assert lines > 0, "no line numbers"
+print(f"{len(open(symbols, 'rb').read()) / 1e6:.0f} MB, with line numbers; the binary has {len(open(binary, 'rb').read()) / 1e6:.0f} MB")
+SCRIPT
+    buildah umount "$container" >/dev/null
+    buildah rm "$container" >/dev/null
 }
 
 say "images"
@@ -53,6 +74,12 @@ build cpu isopeel:cpu
 build gpu isopeel
 build mesa isopeel:mesa trixie
 build intel isopeel:intel
+
+# With `packed` they are a file of the release.
+if [ "${IMAGE_BINARY:-compiled}" = compiled ]; then
+    say "symbols of the images' binary"
+    build_symbols
+fi
 
 say "without a device each says so"
 for image in isopeel isopeel:mesa isopeel:intel; do

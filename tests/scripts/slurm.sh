@@ -35,6 +35,21 @@ count=$(find surfaces -name '*.stl' | wc -l)
 [ "$(cat surfaces/*/manifest.jsonl | wc -l)" = 10 ] || fail "$(cat surfaces/*/manifest.jsonl)"
 [ "$(find surfaces/0 -name '*.stl' | wc -l)" = 4 ] || fail "task 0 has four of ten: $(find surfaces/0)"
 
+# What the pages say of failures: they are listed, the task ends with 1, and others are made.
+mkdir "one is broken"
+cd "one is broken"
+cp "../head 0.nrrd" good.nrrd
+echo nothing >broken.nrrd
+printf '%s\n' good.nrrd broken.nrrd >list
+code=0
+SLURM_ARRAY_TASK_ID=0 SLURM_ARRAY_TASK_MIN=0 SLURM_ARRAY_TASK_MAX=0 SLURM_ARRAY_TASK_COUNT=1 ISOPEEL=$binary \
+    bash "$repository/docker/isopeel-batch.slurm" list surfaces --iso 100 --format stl 2>log || code=$?
+[ "$code" = 1 ] || fail "a task with a file that cannot be read ended with $code: $(cat log)"
+grep -h '"problem"' surfaces/*/manifest.jsonl >failures
+[ "$(wc -l <failures)" = 1 ] && grep --quiet broken.nrrd failures || fail "failures: $(cat failures)"
+[ "$(find surfaces -name '*.stl' | wc -l)" = 1 ] || fail "the other file has no surface: $(find surfaces)"
+cd ..
+
 # Of an array with gaps, the third of three tasks.
 SLURM_ARRAY_TASK_ID=4 SLURM_ARRAY_TASK_MIN=0 SLURM_ARRAY_TASK_MAX=4 SLURM_ARRAY_TASK_COUNT=3 ISOPEEL=echo \
     bash "$repository/docker/isopeel-batch.slurm" list again --iso 100 >called

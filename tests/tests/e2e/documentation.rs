@@ -118,6 +118,24 @@ fn five_people_with_tokens_and_tls() {
             "{session}"
         );
     }
+    let text = text_of("five-people.md");
+    let revoke = text
+        .split('`')
+        .find(|code| code.starts_with("isopeel token revoke --state-folder state "));
+    let link = said.lines().find(|line| line.starts_with("eva: ")).expect("a link");
+    let token = link.split("#token=").nth(1).expect("a token");
+    let id = token.split('_').nth(1).expect("an id");
+    bash(folder.path(), &revoke.expect("the command").replace("ID", id));
+    // The page promises five seconds.
+    let port = server.address.port();
+    let status = bash(
+        folder.path(),
+        &format!(
+            "sleep 5; curl --silent --output answer --write-out '%{{http_code}}' --cacert cert.pem \
+             -H 'Authorization: Bearer {token}' https://localhost:{port}/api/v1/session"
+        ),
+    );
+    assert_eq!(status, "401", "a token that was revoked");
     assert_eq!(
         said.lines()
             .filter(|line| people.iter().any(|user| line.contains(user)))

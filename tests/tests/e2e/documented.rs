@@ -1,217 +1,16 @@
-//! The commands of README, CONTRIBUTING, docs and docker. The list states for each command that it is run here as written, or the test or
+//! Runs the commands of README, CONTRIBUTING, docs and docker. The list states for each command that it is run here as written, or the test or
 //! script that runs it, or why none does. A new or changed command fails until it is in the list.
 
-use std::collections::HashMap;
-use std::path::Path;
+mod check;
+mod list;
+mod pages;
+
+use std::collections::{BTreeSet, HashMap};
 use std::process::{Command, Stdio};
 
+use self::list::How::{self, By, Form, Not, Run, Serve};
+use self::list::{COMMANDS, IN_TEXT};
 use crate::support::{command, http, process, repository};
-
-/// Programs that commands of the pages begin with. Other indented lines are formulas, answers and files.
-const PROGRAMS: [&str; 22] = [
-    "apt-get", "cargo", "cat", "cmake", "curl", "docker", "echo", "export", "isopeel", "kubectl", "ls", "make",
-    "mkdir", "ninja", "openssl", "python3", "rm", "sbatch", "ssh", "sudo", "sudoedit", "tar",
-];
-
-/// How a command is tested.
-#[derive(Debug)]
-enum How {
-    /// It is run here and must succeed.
-    Run,
-    /// It is run here as a server, until the page starts another one.
-    Serve,
-    /// This file runs it: its path, and words that it has.
-    By(&'static str, &'static str),
-    /// Nothing runs it, for this reason.
-    Not(&'static str),
-}
-use How::{By, Not, Run, Serve};
-
-const COMPOSE: &str = "tests/scripts/compose.sh";
-const DIST: &str = "packaging/dist.sh";
-const KUBERNETES: &str = "tests/scripts/kubernetes.py";
-const DRIVERS: &str = "tests/scripts/drivers.sh";
-const NO_CLUSTER: &str = "no cluster of Kubernetes is at hand";
-const OTHER_GPU: &str = "no GPU of AMD or Intel is at hand";
-
-#[rustfmt::skip]
-const COMMANDS: &[(&str, &[(&str, How)])] = &[
-    ("README.md", &[
-        ("make run", By("tests/scripts/fresh-debian.sh", "make run")),
-        ("make test", By(".ci/run", "make test")),
-        ("isopeel serve head.nrrd scans/", Serve),
-        ("isopeel extract head.nrrd --iso 517 -o head.glb", Run),
-        ("isopeel extract head.nrrd --iso 517 --triangles 10% -o head.stl", Run),
-        ("isopeel batch request.json -o surfaces", Run),
-        ("isopeel batch 'scans/*.nii.gz' --iso 300 --format stl -o surfaces", Run),
-        ("isopeel info head.nrrd", Run),
-        ("isopeel slice head.nrrd --axis z --index 54 -o slice.png", Run),
-        ("isopeel devices", Run),
-    ]),
-    ("CONTRIBUTING.md", &[("make test", By(".ci/run", "make test"))]),
-    ("docs/algorithm.md", &[
-        ("cargo test -p isopeel-reference --test expected_cuts", By("Makefile", "cargo test --locked --workspace --tests")),
-        ("cargo test -p isopeel-reference", By("Makefile", "cargo test --locked --workspace --tests")),
-    ]),
-    ("docs/command-line.md", &[
-        ("isopeel extract head.nrrd --triangles 20% -o head.glb --surface '{\"name\":\"skin\",\"iso\":300,\"color\":\"#d2b48c\",\"opacity\":0.4}' --surface \
-          '{\"name\":\"bone\",\"iso\":900}' --surface '{\"volume\":\"labels.nii.gz\",\"label\":\"Hippocampus\",\"color\":\"#3465a4\"}'", Run),
-        ("isopeel slice head.nrrd --axis z --index 54 -o slice.png", Run),
-        ("isopeel slice head.nrrd --axis z --index 54 --iso 300,900 -o contours.svg", Run),
-    ]),
-    ("docs/embedding.md", &[
-        ("isopeel serve --no-auth --embed-origin http://localhost:3000 head.nrrd", Serve),
-        ("isopeel token create --state-folder DIR --user lab-site --role view", Run),
-        ("isopeel serve --state-folder DIR --embed-origin https://lab.example head.nrrd", Serve),
-        ("curl -X POST https://volumes.example/api/v1/embed-tokens -H \"Authorization: Bearer $TOKEN_OF_THE_SITE\" -H \"Content-Type: application/json\" \
-          -d '{\"roles\": [\"view\"], \"seconds\": 600}'", Run),
-    ]),
-    ("docs/fidelity.md", &[
-        ("tests/scripts/fidelity.py --work FOLDER", Not("takes hours, and volumes that are not in the repository")),
-        ("tests/scripts/fidelity.py --work FOLDER --parts shading", Not("takes volumes that are not in the repository")),
-    ]),
-    ("docs/gallery.md", &[
-        ("tests/scripts/simulate.py", By("Makefile", "tests/scripts/simulate.py --small")),
-        ("isopeel serve target/simulations/hurricane.nc target/simulations/fluid/fluid.pvd", By("Makefile", "target/simulations/hurricane.nc target/simulations/fluid/fluid.pvd")),
-    ]),
-    ("docs/jobs.md", &[
-        ("isopeel serve head.nrrd --state-folder /var/lib/isopeel", Serve),
-        ("isopeel jobs submit request.json --watch", Run),
-        ("isopeel jobs fetch ID -o surfaces", Run),
-        ("isopeel batch request.json -o surfaces", Run),
-        ("isopeel batch 'scans/*.nii.gz' more/ --iso 300 --triangles 10% --format stl -o surfaces", Run),
-    ]),
-    ("docs/opencl-drivers.md", &[
-        ("isopeel devices --check", By("Makefile", "devices --check")),
-        ("cmake -G Ninja -DCMAKE_BUILD_TYPE=Release -DCMAKE_INSTALL_PREFIX=/opt/pocl -DLLVM_CONFIG=/usr/bin/llvm-config-16 -DENABLE_ICD=ON \
-          -DENABLE_TESTS=OFF -DENABLE_EXAMPLES=OFF -DENABLE_POCLCC=OFF -DPOCL_ICD_ABSOLUTE_PATH=ON ..", Not("builds another PoCL from its sources")),
-        ("ninja install", Not("builds another PoCL from its sources")),
-        ("OCL_ICD_VENDORS=/etc/opt/pocl/OpenCL/vendors driver-tests/run.sh", Not("needs another PoCL")),
-        ("ISOPEEL_DATA=FOLDER STEPS=surfaces tests/scripts/drivers.sh bookworm/pocl trixie/pocl forky/pocl intel", Not("takes volumes that are not in the repository")),
-        ("python3 -m venv ~/intel-opencl", By(DRIVERS, "python3 -m venv")),
-        ("~/intel-opencl/bin/pip install -r tests/scripts/drivers-requirements.txt", By(DRIVERS, "drivers-requirements.txt")),
-        ("rm ~/intel-opencl/lib/libOpenCL.so*", By(DRIVERS, "libOpenCL.so")),
-        ("mkdir ~/intel-opencl/vendors", By(DRIVERS, "vendors")),
-        ("echo ~/intel-opencl/lib/libintelocl.so > ~/intel-opencl/vendors/intel.icd", By(DRIVERS, "libintelocl.so")),
-        ("export OCL_ICD_VENDORS=~/intel-opencl/vendors LD_LIBRARY_PATH=~/intel-opencl/lib", By(DRIVERS, "OCL_ICD_VENDORS")),
-        ("isopeel devices", Run),
-    ]),
-    ("docs/releases.md", &[
-        ("tar xzf isopeel-0.2.0-x86_64-linux.tar.gz", By(DIST, "tar --extract --gzip")),
-        ("sudo install isopeel-0.2.0-x86_64-linux/isopeel /usr/local/bin/", By(DIST, "\"./$2/isopeel\" extract")),
-        ("sudo apt-get install ocl-icd-libopencl1 pocl-opencl-icd", By(DIST, "ocl-icd-libopencl1,pocl-opencl-icd")),
-        ("sudo apt-get install ./isopeel_0.2.0_amd64.deb", By(DIST, "apt-get install --yes")),
-        ("sudoedit /etc/isopeel/isopeel.toml", By("server/src/cli/settings.rs", "packaging/isopeel.toml")),
-        ("sudo systemctl enable --now isopeel", By("tests/scripts/service.sh", "systemctl enable --now isopeel")),
-        ("docker save isopeel:cpu | xz >isopeel-cpu.tar.xz", By(COMPOSE, "docker save")),
-    ]),
-    ("docs/reliability.md", &[
-        ("make fuzz", Not("takes hours")),
-        ("ISOPEEL_STATES_SECONDS=600 cargo test --locked --package isopeel-tests --test e2e -- states:: --nocapture", By("Makefile", "--test e2e -- states:: --nocapture")),
-        ("ISOPEEL_STATES_FILE=failed.json cargo test --locked --package isopeel-tests --test e2e -- states:: --nocapture", By("tests/tests/e2e/states/mod.rs", "states.jsonl")),
-    ]),
-    ("docs/security.md", &[
-        ("isopeel serve --listen unix:$XDG_RUNTIME_DIR/isopeel.sock head.nrrd", By("tests/tests/e2e/unix.rs", "unix:{}")),
-        ("ssh -L 8417:/run/user/1000/isopeel.sock login.example", Not("takes another machine")),
-        ("isopeel serve --public-url https://volumes.example --oidc-issuer https://login.example --oidc-client-id isopeel --oidc-client-secret-file secret \
-          --oidc-scope \"openid profile groups\" --oidc-role staff=edit,export --oidc-role '*=view' /srv/volumes", By("tests/browser/sign_in.test.mjs", "--oidc-role")),
-        ("isopeel token create --state-folder DIR --user ann --role edit --role export --expires 30d", Run),
-        ("isopeel token list --state-folder DIR", Run),
-        ("isopeel token revoke --state-folder DIR ID", Run),
-    ]),
-    ("docs/uploads.md", &[
-        ("isopeel serve head.nrrd --uploads /var/lib/isopeel/uploads --state-folder /var/lib/isopeel/state", Serve),
-        ("curl -H \"$AUTH\" -H 'Content-Type: application/json' SERVER/api/v1/uploads -d '{\"files\":[{\"name\":\"head.mhd\",\"bytes\":312},{\"name\":\"head.raw\",\"bytes\":16777216}]}'", Run),
-        ("cat head.mhd head.raw | curl -H \"$AUTH\" -X PATCH -H 'Upload-Offset: 0' -H 'Content-Type: application/offset+octet-stream' --data-binary @- SERVER/api/v1/uploads/ID", Run),
-        ("curl -H \"$AUTH\" -X POST SERVER/api/v1/uploads/ID/finish", Run),
-    ]),
-    ("docs/how-to/amd-gpu.md", &[
-        ("isopeel devices", Run),
-        ("isopeel devices --check", By("Makefile", "devices --check")),
-        ("isopeel serve --device gfx head.nrrd", Not(OTHER_GPU)),
-        ("docker build -f docker/Dockerfile --target mesa…", By("tests/scripts/containers.sh", "mesa")),
-    ]),
-    ("docs/how-to/five-people.md", &[
-        ("openssl req -x509…", By("tests/tests/e2e/documentation.rs", "five-people.md")),
-        ("isopeel serve --listen 0.0.0.0:8417 --tls-cert cert.pem --tls-key key.pem --public-url https://volumes.example:8417 --state-folder state --uploads uploads /srv/volumes",
-         By("tests/tests/e2e/documentation.rs", "server_line")),
-        ("for user in ann bob cem dua eva; do…", By("tests/tests/e2e/documentation.rs", "five-people.md")),
-    ]),
-    ("docs/how-to/glb-by-curl.md", &[
-        ("isopeel serve head.nrrd", Serve),
-        ("SERVER=http://127.0.0.1:8417 TOKEN=…", By("tests/tests/e2e/documentation.rs", "glb-by-curl.md")),
-    ]),
-    ("docs/how-to/many-files-on-a-cluster.md", &[
-        ("ls /scratch/study/*.nii.gz >list", Run),
-        ("sbatch --array=0-9 docker/isopeel-batch.slurm list surfaces --iso 300 --triangles 10% --format glb", By("tests/scripts/slurm.sh", "isopeel-batch.slurm")),
-        ("isopeel batch '/scratch/study/*.nii.gz' --iso 300 --triangles 10% --format glb -o surfaces", Run),
-    ]),
-    ("docker/README.md", &[
-        ("docker compose -f docker/compose.yaml up --build", By(COMPOSE, "up --detach")),
-        ("docker compose -f docker/compose.yaml --profile gpu up --build gpu", Not("needs a machine with a GPU and Docker")),
-        ("ISOPEEL_DATA=~/scans docker compose -f docker/compose.yaml up", By(COMPOSE, "ISOPEEL_DATA=")),
-        ("docker compose -f docker/compose.yaml exec cpu isopeel token create --user ann --role edit --role export", By(COMPOSE, "isopeel token create --user ann")),
-        ("openssl rand -hex 32 >token", By(COMPOSE, "openssl rand -hex 32")),
-        ("docker compose -f docker/compose.yaml -f docker/compose.tls.yaml up", By(COMPOSE, "-f docker/compose.tls.yaml")),
-        ("docker build -f docker/Dockerfile --target intel -t isopeel:intel .", By("tests/scripts/containers.sh", "intel")),
-        ("docker run --init -v isopeel:/var/lib/isopeel --device /dev/dri --group-add \"$(stat --format %g /dev/dri/renderD128)\" -p 127.0.0.1:8417:8417 isopeel:intel", Not(OTHER_GPU)),
-        ("kubectl create namespace isopeel", By(KUBERNETES, "def check_readme")),
-        ("openssl rand -hex 32 | tr -d '\\n' >token", Run),
-        ("kubectl --namespace isopeel create secret generic isopeel-token --from-file=token", By(KUBERNETES, "def check_readme")),
-        ("kubectl apply -k docker/kubernetes/base", By(KUBERNETES, "kustomize")),
-        ("kubectl --namespace isopeel port-forward service/isopeel 8417", Not(NO_CLUSTER)),
-        ("kubectl --namespace isopeel exec isopeel-0 -- isopeel token create --user ann --role edit --expires 30d", Not(NO_CLUSTER)),
-    ]),
-];
-
-/// The commands of a page, in their order: indented lines, joined if they continue on the next line, and the first line of each block of
-/// bash.
-fn commands_of(page: &Path) -> Vec<String> {
-    let text = std::fs::read_to_string(page).unwrap_or_else(|error| panic!("{}: {error}", page.display()));
-    let (mut found, mut fence) = (Vec::new(), None::<bool>);
-    let mut lines = text.lines();
-    while let Some(line) = lines.next() {
-        if let Some(language) = line.strip_prefix("```") {
-            // The first line of bash identifies the block.
-            let is_bash = fence.is_none() && language == "bash";
-            fence = if fence.is_none() { Some(is_bash) } else { None };
-            if is_bash {
-                found.extend(lines.next().map(shortened));
-            }
-            continue;
-        }
-        let Some(mut command) = line.strip_prefix("    ").filter(|_| fence.is_none()).map(str::to_owned) else {
-            continue;
-        };
-        while let Some(rest) = command.strip_suffix('\\') {
-            let next = lines.next().unwrap_or_default();
-            command = format!("{} {}", rest.trim_end(), next.trim_start());
-        }
-        found.extend(is_command(&command).then(|| shortened(&command)));
-    }
-    found
-}
-
-/// Whether a line begins with a program, behind variables.
-fn is_command(line: &str) -> bool {
-    let is_variable = |word: &&str| {
-        word.split_once('=')
-            .is_some_and(|(name, _)| name.bytes().all(|b| b.is_ascii_uppercase() || b == b'_'))
-    };
-    let program = line
-        .split_whitespace()
-        .find(|word| !is_variable(word))
-        .unwrap_or_default();
-    PROGRAMS.contains(&program)
-        || program.starts_with("tests/scripts/")
-        || program.starts_with("driver-tests/")
-        || program.starts_with("~/")
-}
-
-/// Removes the trailing comment.
-fn shortened(line: &str) -> String {
-    line.split(" # ").next().unwrap_or_default().trim().to_owned()
-}
 
 /// A command of the list that ends in dots is the first line of a block.
 fn is_equal(found: &str, listed: &str) -> bool {
@@ -220,32 +19,17 @@ fn is_equal(found: &str, listed: &str) -> bool {
         .map_or(found == listed, |beginning| found.starts_with(beginning))
 }
 
-/// The pages whose commands these are.
-fn pages() -> Vec<String> {
-    let root = repository();
-    let mut pages = vec!["README.md".to_owned(), "CONTRIBUTING.md".to_owned()];
-    for folder in ["docs", "docs/how-to", "docker"] {
-        let entries = std::fs::read_dir(root.join(folder)).expect("a folder");
-        let names = entries.map(|entry| entry.expect("an entry").file_name().into_string().expect("UTF-8"));
-        pages.extend(
-            names
-                .filter(|name| name.ends_with(".md"))
-                .map(|name| format!("{folder}/{name}")),
-        );
-    }
-    pages
-}
-
 #[test]
-fn each_command_of_the_documentation_is_in_the_list_and_run_by_what_it_names() {
+fn each_command_of_the_documentation_is_in_the_list() {
     let listed: HashMap<&str, &[(&str, How)]> = COMMANDS.iter().copied().collect();
-    for page in pages() {
+    let pages = pages::pages();
+    for (page, commands) in &pages {
         let expected: Vec<&str> = listed
             .get(page.as_str())
             .into_iter()
             .flat_map(|lines| lines.iter().map(|line| line.0))
             .collect();
-        let found = commands_of(&repository().join(&page));
+        let found = &commands.lines;
         let equal = found.len() == expected.len()
             && found
                 .iter()
@@ -258,28 +42,55 @@ fn each_command_of_the_documentation_is_in_the_list_and_run_by_what_it_names() {
             expected.join("\n")
         );
     }
-    let (mut here, mut elsewhere, mut none) = (0, 0, Vec::new());
-    for (page, line, how) in COMMANDS
+    let gone = listed
+        .keys()
+        .find(|listed| !pages.iter().any(|(page, _)| page == *listed));
+    assert!(gone.is_none(), "the list has the page {gone:?}, which is not there");
+    let in_text: BTreeSet<&str> = pages
         .iter()
-        .flat_map(|(page, lines)| lines.iter().map(move |(line, how)| (page, line, how)))
-    {
+        .flat_map(|(_, page)| page.in_text.iter().map(String::as_str))
+        .collect();
+    let expected: BTreeSet<&str> = IN_TEXT.iter().map(|line| line.0).collect();
+    let [new, gone] = [in_text.difference(&expected), expected.difference(&in_text)].map(Vec::from_iter);
+    let is_listed = |line: &str| {
+        COMMANDS
+            .iter()
+            .any(|(_, lines)| lines.iter().any(|other| other.0 == line))
+    };
+    let new: Vec<_> = new.into_iter().filter(|line| !is_listed(line)).collect();
+    assert!(
+        new.is_empty() && gone.is_empty(),
+        "in text, not in the list: {new:#?}; in the list, not in text: {gone:#?}"
+    );
+}
+
+#[test]
+fn what_the_commands_of_the_documentation_name_exists() {
+    let mut checker = check::Checker::default();
+    let (mut here, mut elsewhere, mut forms, mut none, mut wrong) = (0, 0, 0, Vec::new(), Vec::new());
+    let lines = COMMANDS
+        .iter()
+        .flat_map(|(page, lines)| lines.iter().map(move |line| (*page, line)));
+    for (page, (line, how)) in lines.chain(IN_TEXT.iter().map(|line| ("in text", line))) {
+        wrong.extend(checker.wrong(line).map(|said| format!("{page}: {line}: {said}")));
         match how {
             Run | Serve => here += 1,
+            Form => forms += 1,
             By(file, words) => {
-                let text =
-                    std::fs::read_to_string(repository().join(file)).unwrap_or_else(|error| panic!("{file}: {error}"));
-                assert!(
-                    text.contains(words),
-                    "{file} has no {words}, expected it to run: {line}"
-                );
+                let text = std::fs::read_to_string(repository().join(file));
+                let text = text.unwrap_or_else(|error| panic!("{file}: {error}"));
+                if !text.contains(words) {
+                    wrong.push(format!("{file} has no {words}, expected it to run: {line}"));
+                }
                 elsewhere += 1;
             }
             Not(why) => none.push(format!("{page}: {line}: {why}")),
         }
     }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
     println!(
-        "{} commands: {here} are run here, {elsewhere} by other tests, {} by none:\n{}",
-        here + elsewhere + none.len(),
+        "{} commands: {here} are run here, {elsewhere} by other tests, {forms} are forms, {} are run by none:\n{}",
+        here + elsewhere + forms + none.len(),
         none.len(),
         none.join("\n")
     );
@@ -382,6 +193,10 @@ impl Folder {
         write("here.json", request.replace("\"head\"", "\"head.nrrd\"").as_bytes());
         write(".curlrc", b"fail\nsilent\nshow-error\n");
         std::os::unix::fs::symlink(command::binary(), root.path().join("bin/isopeel")).expect("a link");
+        // In the place of a program that reads STL.
+        write("bin/admesh", b"#!/bin/sh\ntest $(wc -c) -gt 1000\n");
+        let all = std::os::unix::fs::PermissionsExt::from_mode(0o755);
+        std::fs::set_permissions(root.path().join("bin/admesh"), all).expect("its mode");
         let folder = Self {
             root,
             server: None,
@@ -425,7 +240,14 @@ impl Folder {
         let mut line = line
             .replace("batch request.json", "batch here.json")
             .replace("/var/lib/isopeel", &self.path("lib"))
-            .replace("/scratch/", &self.path("scratch/"));
+            .replace("/scratch/", &self.path("scratch/"))
+            .replace("make help", &format!("make -C {} help", repository().display()))
+            .replace("curl URL", &format!("curl file://{}", self.path("head.nrrd")))
+            .replace("completions SHELL", "completions bash")
+            .replace("--iso V ", "--iso 300 ");
+        for name in ["VOLUME", "FILE", "PATH"] {
+            line = line.replace(&format!(" {name}"), " head.nrrd");
+        }
         for (name, value) in &self.names {
             line = match *name {
                 "SERVER" => line
@@ -494,9 +316,15 @@ fn the_commands_of_the_pages_run_as_they_are_written() {
             match how {
                 Run => folder.run(line),
                 Serve => folder.serve(line),
-                By(..) | Not(_) => {}
+                By(..) | Form | Not(_) => {}
             }
         }
         println!("{page}");
+    }
+    let mut folder = Folder::new();
+    for (line, how) in IN_TEXT {
+        if matches!(how, Run) {
+            folder.run(line);
+        }
     }
 }
