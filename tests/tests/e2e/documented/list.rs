@@ -281,6 +281,8 @@ pub const IN_TEXT: &[(&str, How)] = &[
     ("make dist ARCHITECTURES=\"amd64 arm64\"", Not("needs Rust's target for arm64")),
     ("rustup target add aarch64-unknown-linux-gnu", Not("changes the reader's toolchain")),
     ("cargo test -p CRATE", Not("CRATE stands for any")),
+    ("cargo test -p isopeel --lib volume_info", By("Makefile", "cargo test --locked --workspace --tests")),
+    ("UPDATE_SNAPSHOTS=1 cargo test -p isopeel --lib openapi", Not("writes a file of the repository")),
     ("ISOPEEL_DEVICE=cpu driver-tests/run.sh", Not("runs on another machine")),
     ("ISOPEEL_FAULTS=all cargo test --test e2e -- drivers::", Not("takes minutes more than make test, which runs a part of it")),
     ("ISOPEEL_MUTATIONS=1000000 cargo test --locked --package isopeel-tests --test e2e -- mutated:: --nocapture", By("Makefile", "--test e2e -- mutated:: --nocapture")),
