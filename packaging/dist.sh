@@ -10,8 +10,8 @@
 #
 # ARCHITECTURES is "amd64" unless it is set, as to "amd64 arm64"; arm64 is compiled on this machine, for which Rust has to have its target. `build` needs
 # Rust and the web client in web/dist, and gets zig and cargo-zigbuild from PyPI. `pack` needs binutils of each architecture, debugedit, dpkg-deb and xz,
-# `images` buildah, and qemu-user-static for another architecture than this machine's. Files have the same bytes for the same commit, compilers and
-# base image: BASE_IMAGE, that of the Dockerfile unless it is set. `try` uses tests/scripts/fresh-debian.sh.
+# `images` buildah, and qemu-user-static for another architecture than this machine's. Files have the same bytes for the same commit, compilers,
+# length of this folder's path and base image: BASE_IMAGE, that of the Dockerfile unless it is set. `try` uses tests/scripts/fresh-debian.sh.
 case ${1:-} in -h | --help) sed -n '2,/^[^#]/{/^#/s/^# \{0,1\}//p}' "$0" && exit ;; esac
 set -euo pipefail
 
@@ -143,7 +143,7 @@ make_package() {
 }
 
 # strip_binary ARCHITECTURE: what is compiled, without symbols, which stay beside. The link to them has their checksum, so they have no paths of this
-# machine either: compilers rename those of what they compile, and debugedit those of zig's own objects.
+# machine either: compilers rename those of what they compile, and debugedit those of zig's own objects and of assembly in crates.
 strip_binary() {
     local binary objcopy symbols=$work/$1/isopeel.debug
     binary=$PWD/target/$(machine_of "$1")-unknown-linux-gnu/release/isopeel
@@ -152,6 +152,7 @@ strip_binary() {
     mkdir -p "$binaries/$1" "$work/$1"
     cp "$binary" "$work/$1/isopeel"
     debugedit --base-dir="$PWD" --dest-dir=/isopeel "$work/$1/isopeel"
+    debugedit --base-dir="${CARGO_HOME:-$HOME/.cargo}" --dest-dir=/cargo "$work/$1/isopeel"
     "$objcopy" --only-keep-debug "$work/$1/isopeel" "$symbols"
     ! grep --quiet --fixed-strings --text -e "$PWD/" -e "${CARGO_HOME:-$HOME/.cargo}/" "$symbols" || fail "$symbols has paths of this machine"
     (cd "$work/$1" && "$objcopy" --strip-all --add-gnu-debuglink=isopeel.debug isopeel "$binaries/$1/isopeel")
