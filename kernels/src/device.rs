@@ -1,10 +1,11 @@
 //! Lists OpenCL devices and selects one.
 
+use crate::lock::lock;
 use crate::{Error, Result};
 use opencl3::device::{CL_DEVICE_TYPE_ALL, CL_DEVICE_TYPE_CPU, CL_DEVICE_TYPE_GPU, Device};
 use opencl3::error_codes::ClError;
 use opencl3::platform::{Platform, get_platforms};
-use std::sync::{Mutex, PoisonError};
+use std::sync::Mutex;
 
 /// `clGetPlatformIDs` could not load the OpenCL library (a code of the `cl3` crate).
 const LIBRARY_NOT_LOADED: i32 = -2000;
@@ -119,7 +120,7 @@ static LOOKING: Mutex<()> = Mutex::new(());
 
 /// All devices, preferred first, by [`DeviceInfo::preference`].
 pub(crate) fn find() -> Result<Vec<Found>> {
-    let _looking = LOOKING.lock().unwrap_or_else(PoisonError::into_inner);
+    let _looking = lock(&LOOKING);
     let platforms = get_platforms().map_err(|e| {
         if e.0 == LIBRARY_NOT_LOADED {
             Error::NoLoader

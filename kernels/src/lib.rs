@@ -74,6 +74,7 @@ pub use error::{Error, Result};
 pub use expression::Expression;
 pub use feature::{DerivedFeature, Feature, Histogram, VectorFeature};
 pub use interest::{Interest, InterestShape};
+pub use lock::lock;
 pub use mask::ValueSet;
 pub use params::{CutParams, Isovalue, Level, MAX_LEVEL, Mesher, Topology};
 pub use program::{CompilerCheck, Gate};

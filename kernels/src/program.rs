@@ -245,9 +245,10 @@ fn build(
 #[cfg(feature = "testing")]
 mod built {
     use super::{Context, Found};
+    use crate::lock;
     use opencl3::program::Program;
     use std::collections::HashMap;
-    use std::sync::{LazyLock, Mutex, PoisonError};
+    use std::sync::{LazyLock, Mutex};
 
     static BUILT: LazyLock<Mutex<HashMap<Key, Vec<u8>>>> = LazyLock::new(Mutex::default);
 
@@ -263,7 +264,7 @@ mod built {
 
         /// Returns the program if it was built before and the driver accepts its binary.
         pub(super) fn program(&self, context: &Context, device: &Found, options: &str) -> Option<Program> {
-            let built = BUILT.lock().unwrap_or_else(PoisonError::into_inner);
+            let built = lock(&BUILT);
             let binary = built.get(self)?;
             // SAFETY: this driver produced the binary for this device.
             let mut program = unsafe { Program::create_from_binary(context, &[device.device.id()], &[binary]) }.ok()?;
@@ -276,7 +277,7 @@ mod built {
             if device.info.platform == crate::device::POCL {
                 return;
             }
-            let mut built = BUILT.lock().unwrap_or_else(PoisonError::into_inner);
+            let mut built = lock(&BUILT);
             if let (false, Ok(binaries)) = (built.contains_key(&self), program.get_binaries())
                 && let Some(binary) = binaries.into_iter().find(|binary| !binary.is_empty())
             {

@@ -3,12 +3,13 @@
 
 use crate::buffer::Buffer;
 use crate::layout::{self, Brick, Counters, Node, RegionMesh, TreeNode, TreeRegion, VertexRecord, WorkVertex};
+use crate::lock::lock;
 use crate::stages::{self, cut, march, patch};
 use crate::{
     Cut, CutParams, Engine, Error, Grid, Level, Never, Pyramid, Result, Surface, VertexTree, Volume, constants, tables,
 };
 use std::ops::{Deref, DerefMut};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard};
 
 /// Planes of a slab that serves one layer of regions inside the volume.
 pub const LAYER_PLANES: u32 = crate::volume::LAYER_PLANES;
@@ -45,7 +46,7 @@ impl DerefMut for Device {
 /// There is no device, and one is expected.
 pub fn device() -> Option<Device> {
     // A test that panicked while it held the device left no inconsistent state.
-    let guard = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
+    let guard = lock(&ONE_AT_A_TIME);
     let selector = std::env::var("ISOPEEL_DEVICE").ok();
     match Engine::open(selector.as_deref()) {
         Ok(engine) => Some(Device { engine, _guard: guard }),

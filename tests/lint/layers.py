@@ -60,7 +60,7 @@ LAYERS = {
         encode decode
     """,
     "server/extraction/src": """
-        dataset_views error fields joined lock memory observer open_steps residency user_time
+        dataset_views error fields joined memory observer open_steps residency user_time
         chunk_bytes grids host_memory keys
         byte_search context histogram_cache identity job_error pins shares statistics
         feature_fields results

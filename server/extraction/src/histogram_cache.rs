@@ -2,10 +2,9 @@
 
 use std::sync::{Arc, Mutex};
 
-use isopeel_kernels::Histogram;
+use isopeel_kernels::{Histogram, lock};
 
 use super::keys::HistogramKey;
-use super::lock::lock;
 use super::residency::Lru;
 
 /// Maximum number of cached histograms, 2 KiB each: every field and feature of a dataset of some hundred steps.

@@ -1,11 +1,10 @@
 //! Makes space for allocations on the host if the device is this machine's processors: whatever can be loaded or computed again is evicted
 //! before an allocation is refused.
 
-use isopeel_kernels::DeviceKind;
+use isopeel_kernels::{DeviceKind, lock};
 
 use super::WorkError;
 use super::host_memory::{HostMemory, trim_heaps};
-use super::lock::lock;
 use super::workspace::Workspace;
 
 /// Memory that fields leave free for the next surfaces, within the limit of the caches of surfaces.

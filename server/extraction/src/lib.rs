@@ -9,8 +9,8 @@
 //!   runs work and loads what it needs. `user_time`: device time that the computed fields of each user have taken.
 //! - `requests`: what a server asks a workspace for, as data.
 //! - Fields: `reading` reads them, `uploads` sends them to the device, on `grids`; `ahead` does so for time steps that a viewer may reach
-//!   next; `release` frees those of a time step. `pins`: fields that must stay resident. `open_steps`: time steps that viewers have open. `computed` and `fields` compute fields from others,
-//!   on the device and on the host. `dataset_views`: the initial view of a dataset.
+//!   next; `release` frees those of a time step. `pins`: fields that must stay resident. `open_steps`: time steps that viewers have open.
+//!   `computed` and `fields` compute fields from others, on the device and on the host. `dataset_views`: the initial view of a dataset.
 //! - Memory: `memory`: use by purpose; `shares`: limits of the caches; `host_memory`: admission of allocations on the host; `host_space`:
 //!   evictions that make space for them.
 //! - Cuts: `cube_cuts` and `tree_surfaces` cut cubes and the vertex tree for a view; `decisions`: the outcome if an error or a budget
@@ -52,7 +52,6 @@ mod intersections;
 mod job_error;
 mod joined;
 mod keys;
-mod lock;
 mod memory;
 mod observer;
 mod on_device;
@@ -82,10 +81,10 @@ pub use grids::padded_grid;
 pub use histogram_cache::HistogramCache;
 pub use host_memory::{HostMemory, limit_host_memory, trim_heaps};
 pub use identity::{EngineId, FittedKey, SurfaceKey, ViewKey};
+pub use isopeel_kernels::lock;
 pub use job_error::JobError;
 pub use joined::{JoinError, Joined, WorldMesh, join};
 pub use keys::{ALWAYS_DESCRIBED, HistogramKey, Masking, VolumeKey, view_keys, with_inputs};
-pub use lock::lock;
 pub use memory::{MemoryUse, WorkspaceMemory, resident_bytes};
 pub use observer::Observer;
 pub use open_steps::{OpenStepGuard, OpenSteps};

@@ -3,9 +3,8 @@
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex};
 
+use isopeel_kernels::lock;
 use isopeel_volumes::StepKey;
-
-use super::lock::lock;
 
 /// Number of viewers that have each time step open. Steps without viewers have no entry. Clones share it.
 #[derive(Clone, Default)]

@@ -13,7 +13,7 @@ impl Workspace {
     ///
     /// # Errors
     /// [`JobError::NotResident`], and the device's errors.
-    pub fn continue_overview(
+    pub fn overview_values(
         &mut self,
         volume: &VolumeStep,
         key: &VolumeKey,

@@ -4,8 +4,9 @@
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex};
 
+use isopeel_kernels::lock;
+
 use super::keys::VolumeKey;
-use super::lock::lock;
 
 /// The pinned volumes. Clones share them.
 #[derive(Clone, Default)]

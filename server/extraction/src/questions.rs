@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use isopeel_geometry::IndexSpace;
 use isopeel_kernels::{
-    CURVE_POINTS, Cancel, Cut, CutParams, DistanceOf, DistributionCounts, Level, MAX_BINS, ShownCut,
+    CURVE_POINTS, Cancel, Cut, CutParams, DistanceOf, DistributionCounts, Level, MAX_BINS, ShownCut, lock,
 };
 use isopeel_view::View;
 use isopeel_volumes::VolumeStep;
@@ -16,7 +16,6 @@ use super::context::JobContext;
 use super::decisions::TreeCut;
 use super::job_error::JobError;
 use super::keys::VolumeKey;
-use super::lock::lock;
 use super::on_device::{Nodes, OnDevice};
 use super::statistics::in_world;
 use super::workspace::Workspace;

@@ -14,7 +14,7 @@
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use isopeel_kernels::{Cancel, Cut, CutParams, DeviceKind, Differences, Kept, Level, MAX_LEVEL, Surface};
+use isopeel_kernels::{Cancel, Cut, CutParams, DeviceKind, Differences, Kept, Level, MAX_LEVEL, Surface, lock};
 use isopeel_view::View;
 use isopeel_view::quality::Budget;
 use isopeel_volumes::VolumeStep;
@@ -23,7 +23,6 @@ use super::chunk_bytes::{self, BYTES_OF_100_COARSE_TRIANGLES, BYTES_OF_100_TRIAN
 use super::context::JobContext;
 use super::decisions::Decided;
 use super::job_error::JobError;
-use super::lock::lock;
 use super::on_device::{Nodes, OnDevice};
 use super::tree_steps;
 use super::workspace::Workspace;

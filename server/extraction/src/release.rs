@@ -1,8 +1,8 @@
 //! Frees the data of a time step that nothing will use again.
 
+use isopeel_kernels::lock;
 use isopeel_volumes::StepKey;
 
-use super::lock::lock;
 use super::workspace::Workspace;
 
 impl Workspace {

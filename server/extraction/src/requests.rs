@@ -139,5 +139,6 @@ macro_rules! of_volumes {
 }
 
 of_volumes! {
-    Resolve, Prepare, Count, Refine, Improve, Measure, Extract, Ask, UseField, Compute, UseHistogramFields, ReadSamples, ReadSlice,
+    Resolve, Prepare, Count, Refine, Improve, Measure, Extract, Ask, UseField, Compute, UseHistogramFields,
+    ContinueHistogram, ContinueOverview, ReadSamples, ReadSlice,
 }

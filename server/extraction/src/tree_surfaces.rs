@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use isopeel_kernels::{
     Cancel, CutParams, DeviceKind, Error, MeasuredError, PartFilter, RefinementCost, Surface, Topology, TreeGoal,
-    VertexTree,
+    VertexTree, lock,
 };
 use isopeel_view::View;
 use isopeel_view::quality::{Fitted, MaxError};
@@ -15,7 +15,6 @@ use super::context::JobContext;
 use super::decisions::{Decided, TreeCut, lesser};
 use super::intersections::{CapFaces, intersecting_vertices};
 use super::job_error::JobError;
-use super::lock::lock;
 use super::on_device::{Nodes, OnDevice};
 use super::questions::index_inside;
 use super::results::{Making, Refining};

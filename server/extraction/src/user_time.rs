@@ -4,7 +4,7 @@ use std::collections::HashMap;
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-use super::lock::lock;
+use isopeel_kernels::lock;
 
 /// Period in which a user may take the limit.
 pub const USER_TIME_PERIOD: Duration = Duration::from_secs(600);

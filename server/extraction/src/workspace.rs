@@ -4,7 +4,7 @@ use std::collections::{HashMap, HashSet};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use isopeel_kernels::{Engine, Error, Pyramid, Upload, VertexTree, Volume};
+use isopeel_kernels::{Engine, Error, Pyramid, Upload, VertexTree, Volume, lock};
 use isopeel_view::{FeatureName, OpeningIso, View};
 use isopeel_volumes::{Field, VolumeStep};
 use rayon::ThreadPool;
@@ -17,7 +17,6 @@ use super::host_memory::HostMemory;
 use super::identity::{EngineId, PyramidKey};
 use super::job_error::JobError;
 use super::keys::{HistogramKey, Masking, VolumeKey, view_keys, with_inputs};
-use super::lock::lock;
 use super::memory::WorkspaceMemory;
 use super::observer::{Observer, Unobserved};
 use super::open_steps::OpenSteps;

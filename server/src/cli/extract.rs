@@ -161,7 +161,6 @@ async fn extract(args: &Args, work: Work, token: CancellationToken) -> Result<()
         () = token.cancelled() => return Err(ExtractError::Interrupted),
     };
     progress.say(&format!("extracting on {}", device.name.trim()));
-
     let (mut made, mut counted) = (Vec::new(), Vec::new());
     for surface in surfaces {
         let work = request.options.export_work(&surface.view);

@@ -69,10 +69,8 @@ fn catalog() -> Catalog {
 /// With a device that does not exist, so that these tests do the same on every machine.
 fn state() -> ApiState {
     let worker = DeviceWorker::start(Some("a device that is nowhere".into())).unwrap();
-    {
-        let access = Access::new(([127, 0, 0, 1], 8417).into(), &[], &[]);
-        ApiState::new(catalog().into(), worker, access)
-    }
+    let access = Access::new(([127, 0, 0, 1], 8417).into(), &[], &[]);
+    ApiState::new(catalog().into(), worker, access)
 }
 
 async fn send(request: Request<Body>) -> Response {

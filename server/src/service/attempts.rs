@@ -32,7 +32,7 @@ impl DeviceWorker {
     ///
     /// # Errors
     /// The failure, if another attempt would fail as well.
-    pub(super) async fn prepare_retry(
+    async fn prepare_retry(
         &self,
         volume: &VolumeStep,
         error: JobError,
@@ -95,6 +95,26 @@ impl DeviceWorker {
             attempts -= 1;
         }
         Err(WorkError::Busy)
+    }
+
+    /// As [`DeviceWorker::perform`], for a slice of work on a whole volume ([`DeviceWorker::run_slice`]). `retries`: those of all slices of the
+    /// work.
+    ///
+    /// # Errors
+    /// [`WorkError`].
+    pub(super) async fn perform_slice<R: VolumeRequest>(
+        &self,
+        caller: Caller,
+        request: R,
+        retries: &mut Retries,
+    ) -> Result<R::Reply, WorkError> {
+        let never = CancellationToken::new();
+        loop {
+            match self.run_slice(caller, request.clone()).await {
+                Ok(reply) => return Ok(reply),
+                Err(error) => self.prepare_retry(request.volume(), error, retries, &never).await?,
+            }
+        }
     }
 
     /// Makes histograms that a job needs.

@@ -48,13 +48,12 @@ impl DeviceWorker {
     }
 
     async fn make_histogram(&self, volume: &VolumeStep, key: &HistogramKey) -> Result<Histogram, WorkError> {
-        let never = CancellationToken::new();
         // Loads the histogram's fields first, so that each caller sees the progress of the loads.
         let require = UseHistogramFields {
             volume: volume.clone(),
             key: key.clone(),
         };
-        self.perform(Caller::Viewer, require, &never).await?;
+        self.perform(Caller::Viewer, require, &CancellationToken::new()).await?;
         let shared_work = self.shared.unfinished_histograms.get_or_begin(key);
         let mut work = shared_work.lock().await;
         let mut retries = Retries::default();
@@ -64,13 +63,11 @@ impl DeviceWorker {
                 key: key.clone(),
                 work: work.clone(),
             };
-            match self.run_slice(Caller::Viewer, slice).await {
-                Ok((remaining, None)) => *work = remaining,
-                Ok((_, Some(histogram))) => {
-                    self.shared.unfinished_histograms.remove(key);
-                    return Ok(histogram);
-                }
-                Err(error) => self.prepare_retry(volume, error, &mut retries, &never).await?,
+            let (remaining, histogram) = self.perform_slice(Caller::Viewer, slice, &mut retries).await?;
+            *work = remaining;
+            if let Some(histogram) = histogram {
+                self.shared.unfinished_histograms.remove(key);
+                return Ok(histogram);
             }
         }
     }

@@ -58,12 +58,12 @@ impl DeviceWorker {
         key: &VolumeKey,
         unfinished: &Arc<UnfinishedOverview>,
     ) -> Result<(), WorkError> {
-        let never = CancellationToken::new();
         let require = UseField {
             volume: volume.clone(),
             key: key.clone(),
         };
-        self.perform(Caller::Request, require, &never).await?;
+        self.perform(Caller::Request, require, &CancellationToken::new())
+            .await?;
         let mut retries = Retries::default();
         loop {
             let Some(part) = lock(&unfinished.work).next().cloned() else {
@@ -74,14 +74,9 @@ impl DeviceWorker {
                 key: key.clone(),
                 part,
             };
-            match self.run_slice(Caller::Request, slice).await {
-                Ok(values) => {
-                    let unfinished = Arc::clone(unfinished);
-                    let added = pool::run(move || lock(&unfinished.work).add(values)).await;
-                    added.map_err(|_| WorkError::Stopped)?;
-                }
-                Err(error) => self.prepare_retry(volume, error, &mut retries, &never).await?,
-            }
+            let values = self.perform_slice(Caller::Request, slice, &mut retries).await?;
+            // Here, not on the pool: if this caller left before the pool had added them, the next one would request the same part.
+            lock(&unfinished.work).add(values);
         }
     }
 }

@@ -43,7 +43,7 @@ pub const MAX_UPLOADS: usize = 100;
 const RESERVE_BYTES: u64 = 1 << 30;
 /// Maximum uploads that are read as volumes at the same time, at most one for each user: each may have headers of thousands of files.
 const MAX_FINISHES: usize = 2;
-/// Random bytes of an id: so many that an id cannot be guessed.
+/// Random bytes of an id: enough that an id cannot be guessed.
 const ID_BYTES: usize = 16;
 /// Maximum interval between two checks for expired uploads.
 const MAX_EXPIRY_INTERVAL: Duration = Duration::from_secs(60);

@@ -29,7 +29,6 @@ impl Viewer {
     async fn start(opening: &View, volume: VolumeStep, bytes: u64) -> Self {
         let worker = DeviceWorker::start(None).expect("a thread");
         let token = CancellationToken::new();
-
         let improved = worker.improve(&volume, opening, &token).await;
         let improved = improved.expect("improves").expect("a tree");
         let step = Step {

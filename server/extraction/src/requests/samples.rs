@@ -34,7 +34,7 @@ pub struct ContinueHistogram {
     pub work: HistogramWork,
 }
 
-/// Does a part of an overview. See [`Workspace::continue_overview`].
+/// Does a part of an overview. See [`Workspace::overview_values`].
 #[derive(Clone)]
 pub struct ContinueOverview {
     /// The volume.
@@ -91,7 +91,7 @@ impl ContinueHistogram {
 
 impl ContinueOverview {
     pub(super) fn work(self, workspace: &mut Workspace, _: Context<'_, '_>) -> Result<OverviewValues, JobError> {
-        workspace.continue_overview(&self.volume, &self.key, &self.part)
+        workspace.overview_values(&self.volume, &self.key, &self.part)
     }
 }
 

@@ -3,13 +3,13 @@
 use std::collections::HashMap;
 use std::hash::Hash;
 use std::pin::Pin;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard};
 
 use futures_util::FutureExt;
 use futures_util::future;
 use tokio_util::sync::CancellationToken;
 
-use isopeel_extraction::WorkError;
+use isopeel_extraction::{WorkError, lock};
 
 /// A job's result, for all of its waiters.
 pub(in crate::stream) type Outcome<T> = Result<T, Arc<WorkError>>;
@@ -46,9 +46,8 @@ impl<K, T: Clone> Default for SingleFlight<K, T> {
 }
 
 impl<K, T: Clone> SingleFlight<K, T> {
-    /// Locks the jobs. Ignores poisoning: a panic leaves nothing half updated.
     fn jobs(&self) -> MutexGuard<'_, Jobs<K, T>> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.0)
     }
 }
 

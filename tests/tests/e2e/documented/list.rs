@@ -272,7 +272,7 @@ pub const IN_TEXT: &[(&str, How)] = &[
     ("make load", Not("a test itself; takes minutes on an idle machine")),
     ("make soak", Not("a test itself; takes half an hour")),
     ("make fuzz", Not("a test itself; takes hours")),
-    ("make fixtures", Not("makes files of the repository anew")),
+    ("make fixtures", Not("rewrites files of the repository")),
     ("make bench", Not("measures; needs an idle machine")),
     ("make bench-browser", Not("measures; needs an idle machine")),
     ("make gallery", Not("takes volumes that are not in the repository")),
