@@ -89,7 +89,7 @@ LAYERS = {
         request
     """,
     "server/volumes/src": """
-        axis_scales beneath codec disk frame labels notices private progress remote statistics step times turned vectors
+        axis_scales beneath codec disk frame labels notices parallel private progress remote statistics step times turned vectors
         findings identity unpacked
         location
         numbered replaced stored testing

@@ -8,11 +8,11 @@ use std::sync::Arc;
 
 use half::f16;
 use isopeel_kernels::Samples;
-use rayon::prelude::*;
 
 use super::codec::decoder;
 use super::conversion::Conversion;
 use super::location::Blob;
+use super::parallel::{for_each_row, try_for_each_chunk};
 use super::scalar::{DeviceScalar, Scalar};
 use super::stored::{Begin, Encoding, MAX_PADDING, StoredSamples, StoredType, contiguous, is_blank};
 use super::{FileLocation, LabelRanks, Notices, ReadError, ReadProgress, Sink, Source, only_piece};
@@ -67,38 +67,35 @@ impl StoredSamples {
         blob: &Blob<'_>,
         offset: u64,
         samples: u64,
-        pixels: &Pixels<impl Fn(&[S], usize, &mut [T]) + Sync>,
+        pixels: &Pixels<'_, S, T>,
         same: bool,
     ) -> Result<Vec<T>, ReadError> {
         let mut values = self.allocate::<T>(samples)?;
         let swap = !self.endian.is_native();
         let bytes = pixels.interleave * size_of::<S>();
-        values
-            .par_chunks_mut(READ_CHUNK)
-            .enumerate()
-            .try_for_each(|(chunk, out)| {
-                let at = offset + (chunk * READ_CHUNK * bytes) as u64;
-                if same {
-                    blob.read_exact_at(bytemuck::cast_slice_mut(out), at)?;
-                    if swap {
-                        out.iter_mut().for_each(|v| *v = v.swapped());
-                    }
-                    return Ok(());
+        let read_chunk = |chunk: usize, out: &mut [T]| {
+            let at = offset + (chunk * READ_CHUNK * bytes) as u64;
+            if same {
+                blob.read_exact_at(bytemuck::cast_slice_mut(out), at)?;
+                if swap {
+                    out.iter_mut().for_each(|v| *v = v.swapped());
                 }
-                let piece = pixels.piece(out.len());
-                let mut buffer = vec![S::zeroed(); piece * pixels.interleave];
-                for (i, part) in out.chunks_mut(piece).enumerate() {
-                    let stored = &mut buffer[..part.len() * pixels.interleave];
-                    let at = at + (i * piece * bytes) as u64;
-                    blob.read_exact_at(bytemuck::cast_slice_mut(stored), at)?;
-                    if swap {
-                        stored.iter_mut().for_each(|v| *v = v.swapped());
-                    }
-                    pixels.convert(stored, part);
+                return Ok(());
+            }
+            let piece = pixels.piece(out.len());
+            let mut buffer = vec![S::zeroed(); piece * pixels.interleave];
+            for (i, part) in out.chunks_mut(piece).enumerate() {
+                let stored = &mut buffer[..part.len() * pixels.interleave];
+                let at = at + (i * piece * bytes) as u64;
+                blob.read_exact_at(bytemuck::cast_slice_mut(stored), at)?;
+                if swap {
+                    stored.iter_mut().for_each(|v| *v = v.swapped());
                 }
-                Ok(())
-            })
-            .map_err(|e| self.io(e))?;
+                pixels.convert(stored, part);
+            }
+            Ok(())
+        };
+        try_for_each_chunk(&mut values, READ_CHUNK, read_chunk).map_err(|e| self.io(e))?;
         Ok(values)
     }
 
@@ -130,7 +127,7 @@ impl StoredSamples {
         &self,
         stream: &mut dyn Read,
         samples: u64,
-        pixels: &Pixels<impl Fn(&[S], usize, &mut [T]) + Sync>,
+        pixels: &Pixels<'_, S, T>,
     ) -> Result<Vec<T>, ReadError> {
         let samples = usize::try_from(samples).map_err(|_| self.error("more samples than this machine can address"))?;
         let mut values: Vec<T> = Vec::new();
@@ -185,7 +182,7 @@ impl StoredSamples {
     /// Reads all samples of all steps and channels, as stored. Needs as much memory as the decoded file.
     fn read_all<S: Scalar>(&self, blob: &Blob<'_>) -> Result<Vec<S>, ReadError> {
         let total = self.array_samples();
-        let alone = Pixels::alone(copy::<S>);
+        let alone = Pixels::alone(&copy::<S>);
         match self.encoding {
             Encoding::Raw if self.packing().is_none() => {
                 self.read_plain(blob, self.plain_offset(), total, &alone, true)
@@ -241,13 +238,12 @@ impl StoredSamples {
         Ok(values)
     }
 
-    /// Reads one time step of stored type `S` as the device's type `T`. `fill` computes the values of consecutive positions; its arguments
-    /// are the samples, beginning with that of the first position, and the distance between positions in samples.
+    /// Reads one time step of stored type `S` as the device's type `T`.
     fn read_step<S: Scalar, T: DeviceScalar>(
         &self,
         blob: &Blob<'_>,
         step: u32,
-        fill: impl Fn(&[S], usize, &mut [T]) + Sync,
+        fill: &Fill<'_, S, T>,
         same: bool,
         out: &mut Out<'_, '_>,
     ) -> Result<(), ReadError> {
@@ -287,16 +283,11 @@ impl StoredSamples {
     }
 
     /// Reads one time step of an array in any order.
-    fn gather<S: Scalar, T: Scalar>(
-        &self,
-        all: &[S],
-        step: u32,
-        fill: impl Fn(&[S], usize, &mut [T]) + Sync,
-    ) -> Result<Vec<T>, ReadError> {
+    fn gather<S: Scalar, T: Scalar>(&self, all: &[S], step: u32, fill: &Fill<'_, S, T>) -> Result<Vec<T>, ReadError> {
         let mut values = self.allocate::<T>(self.step_samples())?;
         let [nx, ny, _] = self.dims.map(|n| n as usize);
         let [sx, sy, sz, st] = self.strides.map(|s| s as usize);
-        values.par_chunks_mut(nx).enumerate().for_each(|(row, out)| {
+        for_each_row(&mut values, nx, |row, out| {
             let base = self.first as usize + row % ny * sy + row / ny * sz + step as usize * st;
             fill(&all[base..], sx, out);
         });
@@ -304,7 +295,7 @@ impl StoredSamples {
     }
 
     fn as_stored<T: DeviceScalar>(&self, blob: &Blob<'_>, step: u32, out: &mut Out<'_, '_>) -> Result<(), ReadError> {
-        self.read_step(blob, step, copy::<T>, true, out)
+        self.read_step(blob, step, &copy::<T>, true, out)
     }
 
     fn as_f32<S: Scalar>(
@@ -324,18 +315,18 @@ impl StoredSamples {
                         *value = (slope * (0.2126 * r + 0.7152 * g + 0.0722 * b) + inter) as f32;
                     }
                 };
-                self.read_step(blob, step, fill, false, out)
+                self.read_step(blob, step, &fill, false, out)
             }
             (Some(_), None) => {
                 let fill = |from: &[S], apart: usize, values: &mut [f32]| {
                     conversion.convert_computed(|i| slope * from[i * apart].to_f64() + inter, values);
                 };
-                self.read_step(blob, step, fill, false, out)
+                self.read_step(blob, step, &fill, false, out)
             }
             (None, None) => {
                 let fill =
                     |from: &[S], apart: usize, values: &mut [f32]| conversion.convert(|i| from[i * apart], values);
-                self.read_step(blob, step, fill, false, out)
+                self.read_step(blob, step, &fill, false, out)
             }
         }
     }
@@ -392,15 +383,19 @@ impl Out<'_, '_> {
     }
 }
 
+/// Computes the values of consecutive positions. Its arguments are the samples, beginning with that of the first position, the distance
+/// between positions in samples, and the values. Called once for thousands of samples, so that a call through a pointer costs nothing.
+type Fill<'a, S, T> = dyn Fn(&[S], usize, &mut [T]) + Sync + 'a;
+
 /// Positions with `interleave` samples each. `fill` computes the values of positions, from the sample `first` of each position.
-struct Pixels<F> {
+struct Pixels<'a, S, T> {
     interleave: usize,
     first: usize,
-    fill: F,
+    fill: &'a Fill<'a, S, T>,
 }
 
-impl<F> Pixels<F> {
-    fn alone(fill: F) -> Self {
+impl<'a, S, T> Pixels<'a, S, T> {
+    fn alone(fill: &'a Fill<'a, S, T>) -> Self {
         Self {
             interleave: 1,
             first: 0,
@@ -413,10 +408,7 @@ impl<F> Pixels<F> {
         (DECODE_CHUNK / self.interleave).clamp(1, count.max(1))
     }
 
-    fn convert<S, T>(&self, stored: &[S], values: &mut [T])
-    where
-        F: Fn(&[S], usize, &mut [T]),
-    {
+    fn convert(&self, stored: &[S], values: &mut [T]) {
         (self.fill)(&stored[self.first..], self.interleave, values);
     }
 }

@@ -36,6 +36,7 @@ mod memory;
 mod notices;
 mod numbered;
 pub mod open;
+mod parallel;
 mod pieces;
 pub mod private;
 mod progress;

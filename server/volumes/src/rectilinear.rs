@@ -11,8 +11,8 @@ use std::sync::Arc;
 
 use isopeel_geometry::UnevenAxes;
 use isopeel_kernels::{SampleType, Samples};
-use rayon::prelude::*;
 
+use super::parallel::for_each_row;
 use super::scalar::Scalar;
 use super::{Field, FileLocation, Geometry, LabelRanks, Notices, OpenedFile, ReadError, ReadProgress, Source};
 
@@ -257,7 +257,7 @@ impl Interpolation {
             let value = samples[index].to_f32();
             if Some(value) == missing { f32::NAN } else { value }
         };
-        values.par_chunks_mut(nx).enumerate().for_each(|(row, values)| {
+        for_each_row(&mut values, nx, |row, values| {
             let (y, z) = (self.axes[1][row % ny], self.axes[2][row / ny]);
             let start = |dy: usize, dz: usize| ((z.low + dz) * from_y + y.low + dy) * from_x;
             for (value, x) in values.iter_mut().zip(&self.axes[0]) {

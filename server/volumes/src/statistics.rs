@@ -1,5 +1,7 @@
 //! Range and histogram of a field, on the host.
 
+use std::ops::Range;
+
 use isopeel_kernels::Samples;
 use rayon::prelude::*;
 
@@ -38,14 +40,11 @@ impl FieldStatistics {
     /// One pass that counts each possible value, at most 65536 from `min` on.
     fn of_integers<T: Copy + Into<i32> + Sync>(samples: &[T], min: i32, missing: Option<f32>) -> Self {
         let values = 1usize << (8 * size_of::<T>());
-        let counts = samples
-            .par_chunks(CHUNK)
-            .map(|chunk| {
-                let mut counts = vec![0u64; values];
-                chunk.iter().for_each(|&v| counts[(v.into() - min) as usize] += 1);
-                counts
-            })
-            .reduce(|| vec![0; values], add);
+        let counts = counted(samples.len(), values, &|range, counts| {
+            samples[range]
+                .iter()
+                .for_each(|&v| counts[(v.into() - min) as usize] += 1);
+        });
         let mut counted = counts
             .into_iter()
             .zip(min..)
@@ -112,6 +111,16 @@ impl FieldStatistics {
             not_finite,
         }
     }
+}
+
+/// Counts `samples` samples of integers with `values` possible values. `count` adds the samples of a range to the counts of the values.
+fn counted(samples: usize, values: usize, count: &(dyn Fn(Range<usize>, &mut [u64]) + Sync)) -> Vec<u64> {
+    let chunks = (0..samples.div_ceil(CHUNK)).into_par_iter().map(|chunk| {
+        let mut counts = vec![0; values];
+        count(chunk * CHUNK..samples.min((chunk + 1) * CHUNK), &mut counts);
+        counts
+    });
+    chunks.reduce(|| vec![0; values], add)
 }
 
 fn add(mut a: Vec<u64>, b: Vec<u64>) -> Vec<u64> {

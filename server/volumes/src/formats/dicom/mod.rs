@@ -29,9 +29,8 @@ use std::collections::VecDeque;
 use std::io;
 use std::path::{Path, PathBuf};
 
-use rayon::prelude::*;
-
 use super::super::beneath::is_link_out;
+use super::super::parallel::try_map;
 use super::super::{FileLocation, OpenedFile, ReadError};
 use super::{FolderVolume, Format};
 pub use beginning::is_dicom;
@@ -167,8 +166,8 @@ fn read_folder(asked: &FileLabel) -> Result<Vec<Found>, ReadError> {
             return Err(asked.error("folder", why));
         }
     }
-    let read = files.par_iter().enumerate().map(|(i, path)| {
-        let location = FileLocation::disk(path).beneath(&asked.asked);
+    let read = try_map(files.len(), |i| {
+        let location = FileLocation::disk(&files[i]).beneath(&asked.asked);
         if Beginning::of_file(&location).is_none() {
             return Ok(Found::Nothing);
         }
@@ -177,8 +176,7 @@ fn read_folder(asked: &FileLabel) -> Result<Vec<Found>, ReadError> {
             ..asked.clone()
         };
         image::read(&location, &label)
-    });
-    let read: Vec<Found> = read.collect::<Result<_, _>>()?;
+    })?;
     let others = read.iter().filter(|found| matches!(found, Found::Nothing)).count();
     if others > 0 {
         tracing::info!(path = %asked.asked.display(), "{others} files without images in space passed over");

@@ -3,8 +3,8 @@
 use std::sync::Arc;
 
 use isopeel_kernels::{SampleType, Samples};
-use rayon::prelude::*;
 
+use super::super::super::parallel::try_map;
 use super::super::super::{
     Field, FileLocation, Findings, Frame, Geometry, LengthUnit, Notices, OpenedFile, ReadError, ReadProgress, Source,
 };
@@ -170,11 +170,10 @@ impl Source for SegmentSource {
         if step > 0 {
             return Err(self.label.error("step", format!("{step}, expected 0")));
         }
-        let read = self.slices.par_iter().map(|frames| {
+        let slices = try_map(self.slices.len(), |i| {
             progress.go_on(&self.label.asked)?;
-            self.slice(frames, progress)
-        });
-        let slices: Vec<(Vec<u16>, u64)> = read.collect::<Result<_, _>>()?;
+            self.slice(&self.slices[i], progress)
+        })?;
         let overlaps: u64 = slices.iter().map(|(_, overlaps)| overlaps).sum();
         if overlaps > 0 {
             let notice =

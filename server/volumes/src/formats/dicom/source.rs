@@ -5,10 +5,10 @@ use std::sync::Arc;
 
 use flate2::bufread::DeflateDecoder;
 use isopeel_kernels::Samples;
-use rayon::prelude::*;
 
 use super::super::super::conversion::Conversion;
 use super::super::super::location::Blob;
+use super::super::super::parallel::try_map;
 use super::super::super::pieces::Pieces;
 use super::super::super::stored::{Endian, StoredType};
 use super::super::super::{FileLocation, ReadError, ReadProgress, Sink, Source, only_piece};
@@ -98,12 +98,8 @@ impl Source for DicomSamples {
         let batch = (BATCH_BYTES / bytes).clamp(1, 64) as usize;
         for batch in images.chunks(batch) {
             progress.go_on(&self.label.asked)?;
-            let decoded: Vec<Result<Samples, ReadError>> = batch
-                .par_iter()
-                .map(|image| image.read(self.target, progress))
-                .collect();
+            let decoded = try_map(batch.len(), |i| batch[i].read(self.target, progress))?;
             for values in decoded {
-                let values = values?;
                 let (bytes, stored) = (values.as_bytes(), stored_type(&values));
                 pieces.push(bytes, stored, NATIVE, None)?;
             }

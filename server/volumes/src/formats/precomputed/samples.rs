@@ -5,12 +5,12 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use isopeel_kernels::Samples;
-use rayon::prelude::*;
 
 use super::super::ahead::Work;
 use super::super::store::{Store, join};
 use super::encoding::{Encoding, Shape, gunzip, max_stored};
 use super::sharding::{Entry, Minishard, Sharding, compressed_morton, find};
+use crate::parallel::{try_map, try_map_items, try_sum};
 use crate::remote::Part;
 use crate::scalar::{DeviceScalar, Scalar};
 use crate::stored::StoredType;
@@ -138,18 +138,14 @@ impl PrecomputedSamples {
             let packed = || self.store.disk_bytes(&format!("{name}.gz"));
             Ok(plain.map_or_else(packed, |bytes| Ok(Some(bytes)))?.unwrap_or(0))
         };
-        let sum = |a: u64, b: u64| Ok(a.saturating_add(b));
         if let Some(sharding) = &self.layout.sharding {
             let shard = |index| sharding.minishard(self.id(&self.layout.chunk(index))).shard;
             let shards: BTreeSet<u64> = (0..self.count()).map(shard).collect();
-            let files = shards
-                .into_par_iter()
-                .map(|shard| join(&self.layout.key, &sharding.file(shard)));
-            return files.map(bytes).try_reduce(|| 0, sum);
+            let shards = Vec::from_iter(shards);
+            let file = |i: usize| join(&self.layout.key, &sharding.file(shards[i]));
+            return try_sum(shards.len() as u64, |i| bytes(file(i as usize)));
         }
-        let files = (0..self.count()).into_par_iter();
-        let files = files.map(|index| self.layout.file(&self.layout.chunk(index)));
-        files.map(bytes).try_reduce(|| 0, sum)
+        try_sum(self.count(), |index| bytes(self.layout.file(&self.layout.chunk(index))))
     }
 
     /// Compares the size that `info` claims with the stored bytes.
@@ -170,7 +166,7 @@ impl PrecomputedSamples {
     fn read_as<S: Scalar, T: Scalar>(
         &self,
         progress: &ReadProgress,
-        fill: impl Fn(&dyn Fn(usize) -> S, &mut [T]) + Sync,
+        fill: &dyn Fn(&dyn Fn(usize) -> S, &mut [T]),
     ) -> Result<Vec<T>, ReadError> {
         if !self.store.is_remote() {
             self.check(self.file_bytes()?)?;
@@ -180,10 +176,10 @@ impl PrecomputedSamples {
         let mut values = bytemuck::allocation::try_zeroed_vec(samples)
             .map_err(|_| self.error(format!("no memory for {:?} samples", self.layout.dims)))?;
         let mut stored_bytes = 0;
-        self.read_chunks(progress, |chunk, stored, bytes| {
+        self.read_chunks(progress, &mut |chunk, stored, bytes| {
             stored_bytes += bytes;
             if let Some(stored) = stored {
-                self.scatter(&chunk, &stored, &mut values, &fill);
+                self.scatter(&chunk, &stored, &mut values, fill);
             }
         })?;
         if self.store.is_remote() {
@@ -196,7 +192,7 @@ impl PrecomputedSamples {
     fn read_chunks(
         &self,
         progress: &ReadProgress,
-        mut take: impl FnMut(Chunk, Option<Vec<u8>>, u64),
+        take: &mut dyn FnMut(Chunk, Option<Vec<u8>>, u64),
     ) -> Result<(), ReadError> {
         let reading = Reading {
             work: Work::new(progress),
@@ -228,15 +224,15 @@ impl PrecomputedSamples {
         let shown = self.store.path(&self.layout.key);
         if self.store.is_remote() {
             return reading.work.get_ahead(&shown, count, fit / 2, get, |some| {
-                hand_on(some.into_par_iter().map(decode).collect::<Result<_, _>>()?);
+                hand_on(try_map_items(some, decode)?);
                 Ok(())
             });
         }
         let at_once = fit.clamp(1, 4 * rayon::current_num_threads() as u64);
         for first in (0..count).step_by(at_once as usize) {
             progress.go_on(&shown)?;
-            let some = (first..count.min(first + at_once)).into_par_iter();
-            hand_on(some.map(|index| decode(get(index)?)).collect::<Result<_, _>>()?);
+            let some = count.min(first + at_once) - first;
+            hand_on(try_map(some as usize, |i| decode(get(first + i as u64)?))?);
         }
         Ok(())
     }
@@ -369,7 +365,7 @@ impl PrecomputedSamples {
         chunk: &Chunk,
         stored: &[u8],
         values: &mut [T],
-        fill: &impl Fn(&dyn Fn(usize) -> S, &mut [T]),
+        fill: &dyn Fn(&dyn Fn(usize) -> S, &mut [T]),
     ) {
         let [nx, ny, nz] = chunk.shape.size.map(|n| n as usize);
         let first = chunk.first.map(|n| n as usize);
@@ -397,7 +393,7 @@ impl PrecomputedSamples {
         let fill = |stored: &dyn Fn(usize) -> T, values: &mut [T]| {
             values.iter_mut().enumerate().for_each(|(i, value)| *value = stored(i));
         };
-        self.read_as(progress, fill).map(T::samples)
+        self.read_as(progress, &fill).map(T::samples)
     }
 
     fn as_f32<S: Scalar>(&self, progress: &ReadProgress) -> Result<Samples, ReadError> {
@@ -405,7 +401,7 @@ impl PrecomputedSamples {
         only_piece(|sink| {
             self.findings.read((&path, 1), sink, |conversion, sink| {
                 let fill = |stored: &dyn Fn(usize) -> S, values: &mut [f32]| conversion.convert(stored, values);
-                sink(Samples::F32(self.read_as(progress, fill)?))
+                sink(Samples::F32(self.read_as(progress, &fill)?))
             })
         })
     }

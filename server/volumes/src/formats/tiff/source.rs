@@ -4,8 +4,8 @@ use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use isopeel_kernels::{SampleType, Samples};
-use rayon::prelude::*;
 
+use super::super::super::parallel::try_map;
 use super::super::super::pieces::Pieces;
 use super::super::super::scalar::numbers;
 use super::super::super::stored::{Endian, StoredType};
@@ -168,8 +168,8 @@ impl Source for PageSource {
             let mut pieces = Pieces::new(path, self.sample_type(), expected, conversion);
             for batch in planes.chunks(at_once) {
                 progress.go_on(path)?;
-                let read = |plane: &(usize, usize)| self.slice(*plane).inspect(|_| progress.add(slice_bytes));
-                let slices: Vec<_> = batch.par_iter().map(read).collect::<Result<_, _>>()?;
+                let read = |i: usize| self.slice(batch[i]).inspect(|_| progress.add(slice_bytes));
+                let slices = try_map(batch.len(), read)?;
                 for (bytes, stored, endian) in slices {
                     pieces.push(&bytes, stored, endian, self.scale())?;
                 }

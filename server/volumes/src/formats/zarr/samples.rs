@@ -9,11 +9,11 @@ use std::sync::{Arc, OnceLock};
 use chunks::{Reading, Stored};
 use half::f16;
 use isopeel_kernels::{SampleType, Samples};
-use rayon::prelude::*;
 
 use super::super::store::Store;
 use super::metadata::Array;
 use crate::formats::variables::{layout::Layout, values::Values};
+use crate::parallel::{try_map, try_map_items};
 use crate::scalar::{DeviceScalar, Scalar};
 use crate::stored::{Endian, StoredType};
 use crate::{FileLocation, Findings, LabelRanks, Notices, ReadError, ReadProgress, Source, only_piece};
@@ -173,7 +173,7 @@ impl ZarrSamples {
         step: u32,
         progress: &ReadProgress,
         fill: S,
-        convert: impl Fn(&dyn Fn(usize) -> S, &mut [T]) + Sync,
+        convert: &dyn Fn(&dyn Fn(usize) -> S, &mut [T]),
     ) -> Result<Vec<T>, ReadError> {
         let reading = Reading::new(progress);
         if !self.store.is_remote() {
@@ -184,10 +184,10 @@ impl ZarrSamples {
         let mut values = bytemuck::allocation::try_zeroed_vec(count)
             .map_err(|_| self.error(format!("no memory for {:?} samples", self.axes.dims)))?;
         let (mut stored_bytes, mut not_stored) = (0, Vec::new());
-        self.read_blocks(step, &reading, |block, stored, bytes| {
+        self.read_blocks(step, &reading, &mut |block, stored, bytes| {
             stored_bytes += bytes;
             match stored {
-                Some(stored) => self.scatter(step, &block, &stored, &mut values, &convert),
+                Some(stored) => self.scatter(step, &block, &stored, &mut values, convert),
                 None => not_stored.push(block),
             }
         })?;
@@ -210,7 +210,7 @@ impl ZarrSamples {
         &self,
         step: u32,
         reading: &Reading<'_>,
-        mut take: impl FnMut(Vec<u64>, Option<Vec<u8>>, u64),
+        take: &mut dyn FnMut(Vec<u64>, Option<Vec<u8>>, u64),
     ) -> Result<(), ReadError> {
         let blocks: u64 = self.counts(&self.block).iter().product();
         let bytes = self.block_bytes();
@@ -237,15 +237,15 @@ impl ZarrSamples {
         if self.store.is_remote() {
             let shown = self.store.path(&self.path);
             return reading.work.get_ahead(&shown, blocks, fit / 2, get, |some| {
-                hand_on(some.into_par_iter().map(decode).collect::<Result<_, _>>()?);
+                hand_on(try_map_items(some, decode)?);
                 Ok(())
             });
         }
         let at_once = fit.clamp(1, 4 * rayon::current_num_threads() as u64);
         for first in (0..blocks).step_by(at_once as usize) {
             reading.work.progress.go_on(&self.store.path(&self.path))?;
-            let some = (first..blocks.min(first + at_once)).into_par_iter();
-            hand_on(some.map(|index| decode(get(index)?)).collect::<Result<_, _>>()?);
+            let some = blocks.min(first + at_once) - first;
+            hand_on(try_map(some as usize, |i| decode(get(first + i as u64)?))?);
         }
         Ok(())
     }
@@ -285,7 +285,7 @@ impl ZarrSamples {
         block: &[u64],
         stored: &[u8],
         values: &mut [T],
-        convert: &impl Fn(&dyn Fn(usize) -> S, &mut [T]),
+        convert: &dyn Fn(&dyn Fn(usize) -> S, &mut [T]),
     ) {
         let pipeline = self
             .array
@@ -325,7 +325,7 @@ impl ZarrSamples {
         let convert = |stored: &dyn Fn(usize) -> T, values: &mut [T]| {
             values.iter_mut().enumerate().for_each(|(x, value)| *value = stored(x));
         };
-        self.read_as(step, progress, fill, convert).map(T::samples)
+        self.read_as(step, progress, fill, &convert).map(T::samples)
     }
 
     fn as_f32<S: Scalar>(&self, step: u32, progress: &ReadProgress, fill: S) -> Result<Samples, ReadError> {
@@ -341,7 +341,7 @@ impl ZarrSamples {
                         .enumerate()
                         .for_each(|(x, value)| *value = self.values.value(stored(x).to_f64()));
                 };
-                sink(Samples::F32(self.read_as(step, progress, fill, convert)?))
+                sink(Samples::F32(self.read_as(step, progress, fill, &convert)?))
             })
         })
     }

@@ -3,11 +3,10 @@
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use rayon::prelude::*;
-
 use super::super::super::ahead::Work;
 use super::super::super::store::join;
 use super::ZarrSamples;
+use crate::parallel::try_sum;
 use crate::remote::Part;
 use crate::{ReadError, ReadProgress};
 
@@ -60,7 +59,7 @@ impl ZarrSamples {
             Ok(self.store.disk_bytes(&join(&self.path, &key))?.unwrap_or(0))
         };
         let count = self.counts(files).iter().product();
-        (0..count).into_par_iter().map(bytes).try_reduce(|| 0, |a, b| Ok(a + b))
+        try_sum(count, bytes)
     }
 
     /// Returns the stored bytes of a chunk; `None` if it is not stored.

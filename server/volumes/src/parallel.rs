@@ -1,0 +1,147 @@
+//! Loops over the threads of the pool.
+//!
+//! The loop itself is compiled once, not for each type of sample: `rayon`'s generic iterators were a quarter of this crate's code.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Mutex, OnceLock, PoisonError};
+
+use rayon::prelude::*;
+
+/// Calls `task` with each number below `count`, on several threads.
+pub(super) fn for_each(count: usize, task: &(dyn Fn(usize) + Sync)) {
+    (0..count).into_par_iter().for_each(task);
+}
+
+/// Returns the results of `task` for each number below `count`, in order. After an error, no further call begins.
+///
+/// # Errors
+/// Errors of `task`.
+pub(super) fn try_map<R: Send + Sync, E: Send + Sync>(
+    count: usize,
+    task: impl Fn(usize) -> Result<R, E> + Sync,
+) -> Result<Vec<R>, E> {
+    let (results, failed) = (empty_slots(count), AtomicBool::new(false));
+    for_each(count, &|number| {
+        if failed.load(Ordering::Relaxed) {
+            return;
+        }
+        let result = task(number);
+        if result.is_err() {
+            failed.store(true, Ordering::Relaxed);
+        }
+        let _ = results[number].set(result);
+    });
+    // Only calls after an error have no result, so the first error is found before a missing result matters.
+    results.into_iter().filter_map(OnceLock::into_inner).collect()
+}
+
+/// As [`try_map`], of items that each call takes.
+///
+/// # Errors
+/// Errors of `task`.
+pub(super) fn try_map_items<T: Send, R: Send + Sync, E: Send + Sync>(
+    items: Vec<T>,
+    task: impl Fn(T) -> Result<R, E> + Sync,
+) -> Result<Vec<R>, E> {
+    let items: Vec<_> = items.into_iter().map(|item| Mutex::new(Some(item))).collect();
+    let take = |number: usize| items[number].lock().unwrap_or_else(PoisonError::into_inner).take();
+    let results = try_map(items.len(), |number| take(number).map(&task).transpose())?;
+    Ok(results.into_iter().flatten().collect())
+}
+
+/// Returns the sum of the results of `task` for each number below `count`, at most [`u64::MAX`]. After an error, no further call begins.
+///
+/// # Errors
+/// Errors of `task`.
+pub(super) fn try_sum<E: Send>(count: u64, task: impl Fn(u64) -> Result<u64, E> + Sync) -> Result<u64, E> {
+    let sum = Mutex::new(Ok(0u64));
+    let lock = || sum.lock().unwrap_or_else(PoisonError::into_inner);
+    for_each(count as usize, &|number| {
+        if lock().is_err() {
+            return;
+        }
+        let result = task(number as u64);
+        let mut sum = lock();
+        match (&mut *sum, result) {
+            (Ok(sum), Ok(more)) => *sum = sum.saturating_add(more),
+            (Ok(_), Err(error)) => *sum = Err(error),
+            (Err(_), _) => {}
+        }
+    });
+    sum.into_inner().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Calls `task` with each chunk of at most `size` values, and with the chunk's number.
+///
+/// # Errors
+/// Errors of `task`.
+pub(super) fn try_for_each_chunk<T: Send, E: Send + Sync>(
+    values: &mut [T],
+    size: usize,
+    task: impl Fn(usize, &mut [T]) -> Result<(), E> + Sync,
+) -> Result<(), E> {
+    // Each chunk is locked once.
+    let chunks: Vec<_> = values.chunks_mut(size).map(Mutex::new).collect();
+    let count = chunks.len();
+    try_map(count, |number| {
+        task(
+            number,
+            &mut chunks[number].lock().unwrap_or_else(PoisonError::into_inner),
+        )
+    })?;
+    Ok(())
+}
+
+/// Calls `task` with each row of `length` values, and with the row's number. The last row may be shorter.
+pub(super) fn for_each_row<T: Send>(values: &mut [T], length: usize, task: impl Fn(usize, &mut [T]) + Sync) {
+    let rows = (CHUNK_VALUES / length.max(1)).max(1);
+    let result = try_for_each_chunk(values, rows * length, |chunk, values| {
+        let numbered = (chunk * rows..).zip(values.chunks_mut(length));
+        numbered.for_each(|(row, values)| task(row, values));
+        Ok::<(), std::convert::Infallible>(())
+    });
+    let Ok(()) = result;
+}
+
+/// Values of a task of [`for_each_row`]: enough that a task takes longer than its administration.
+const CHUNK_VALUES: usize = 1 << 16;
+
+fn empty_slots<T>(count: usize) -> Vec<OnceLock<T>> {
+    std::iter::repeat_with(OnceLock::new).take(count).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn results_are_in_order_and_an_error_ends_the_loop() {
+        let squares = try_map(1000, |i| Ok::<_, ()>(i * i));
+        assert_eq!(squares, Ok((0..1000).map(|i| i * i).collect()));
+        let failed = try_map(1000, |i| if i % 100 == 99 { Err(i) } else { Ok(i) });
+        assert!(failed.is_err_and(|i| i % 100 == 99));
+        assert_eq!(try_sum(1000, Ok::<_, ()>), Ok(499_500));
+        assert_eq!(try_sum(3, |i| if i == 1 { Err(i) } else { Ok(u64::MAX) }), Err(1));
+        let names = try_map_items(vec!["a".to_owned(), "b".to_owned()], |name| Ok::<_, ()>(name + "!"));
+        assert_eq!(names, Ok(vec!["a!".to_owned(), "b!".to_owned()]));
+    }
+
+    #[test]
+    fn chunks_and_rows_cover_all_values_once() {
+        for (length, size) in [(0, 7), (1, 7), (7, 7), (200_003, 7), (200_003, 70_000)] {
+            let mut values = vec![0usize; length];
+            let add = |chunk: usize, values: &mut [usize]| {
+                assert!(values.len() <= size);
+                values.iter_mut().for_each(|value| *value += chunk + 1);
+            };
+            let done = try_for_each_chunk(&mut values, size, |chunk, values| {
+                add(chunk, values);
+                Ok::<_, ()>(())
+            });
+            assert_eq!(done, Ok(()));
+            for_each_row(&mut values, size, add);
+            let expected = (0..length).map(|i| 2 * (i / size + 1));
+            assert!(values.iter().copied().eq(expected));
+        }
+    }
+}
