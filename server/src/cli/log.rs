@@ -8,7 +8,9 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError, mpsc};
 use std::time::Duration;
 
 use tracing_appender::non_blocking::{ErrorCounter, NonBlockingBuilder, WorkerGuard};
-use tracing_subscriber::EnvFilter;
+use tracing_subscriber::filter::{LevelFilter, Targets};
+use tracing_subscriber::layer::SubscriberExt;
+use tracing_subscriber::util::SubscriberInitExt;
 
 use super::LogFormat;
 
@@ -21,9 +23,9 @@ const LIMIT: Duration = Duration::from_secs(1);
 /// Held until the log ends.
 static GUARD: Mutex<Option<WorkerGuard>> = Mutex::new(None);
 
-/// Starts the log. `RUST_LOG` says which lines it has, else `default_filter`.
-pub fn start(format: LogFormat, default_filter: &str) {
-    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(default_filter));
+/// Starts the log. `RUST_LOG` selects its lines by modules and levels, as `isopeel=debug,warn`; if it is not set, `default_level` does.
+pub fn start(format: LogFormat, default_level: LevelFilter) {
+    let (filter, refused) = filter(&std::env::var("RUST_LOG").unwrap_or_default(), default_level);
     let queue = Arc::new(OnceLock::new());
     let (writer, guard) = NonBlockingBuilder::default()
         .buffered_lines_limit(WAITING_LINES)
@@ -32,12 +34,33 @@ pub fn start(format: LogFormat, default_filter: &str) {
     let _ = queue.set(writer.error_counter());
     *GUARD.lock().unwrap_or_else(PoisonError::into_inner) = Some(guard);
     let log = tracing_subscriber::fmt()
-        .with_env_filter(filter)
+        // The filter decides.
+        .with_max_level(LevelFilter::TRACE)
         .with_writer(writer)
         .with_ansi(io::stderr().is_terminal());
     match format {
-        LogFormat::Text => log.init(),
-        LogFormat::Json => log.json().flatten_event(true).init(),
+        LogFormat::Text => log.finish().with(filter).init(),
+        LogFormat::Json => log.json().flatten_event(true).finish().with(filter).init(),
+    }
+    if let Some(refused) = refused {
+        tracing::warn!("{refused}");
+    }
+}
+
+/// Returns the filter that `RUST_LOG` asks for; if it is empty or refused, lines of `default_level` and above. Also returns why it is
+/// refused.
+fn filter(wanted: &str, default_level: LevelFilter) -> (Targets, Option<String>) {
+    let default = || Targets::new().with_default(default_level);
+    if wanted.is_empty() {
+        return (default(), None);
+    }
+    match wanted.parse() {
+        Ok(filter) => (filter, None),
+        Err(error) => {
+            let expected = "expected modules and levels, as isopeel=debug,warn";
+            let refused = format!("RUST_LOG is {wanted:?} ({error}), {expected}: {default_level} is used");
+            (default(), Some(refused))
+        }
     }
 }
 
@@ -144,6 +167,26 @@ fn indented(event: &[u8]) -> Cow<'_, [u8]> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_filter_has_modules_and_levels_or_says_what_is_expected() {
+        let is_enabled =
+            |(filter, _): &(Targets, Option<String>), module: &str, level| filter.would_enable(module, level);
+        let (info, debug) = (tracing::Level::INFO, tracing::Level::DEBUG);
+        let by_default = filter("", LevelFilter::INFO);
+        assert!(by_default.1.is_none() && is_enabled(&by_default, "isopeel::rest", &info));
+        assert!(!is_enabled(&by_default, "isopeel::rest", &debug));
+        let wanted = filter("isopeel=debug,warn", LevelFilter::INFO);
+        assert!(wanted.1.is_none() && is_enabled(&wanted, "isopeel::rest", &debug));
+        assert!(!is_enabled(&wanted, "hyper", &info));
+        let refused = filter("isopeel=loud", LevelFilter::INFO);
+        assert!(is_enabled(&refused, "isopeel::rest", &info));
+        assert!(
+            refused
+                .1
+                .is_some_and(|why| why.contains("isopeel=loud") && why.ends_with("info is used"))
+        );
+    }
 
     /// A writer with limited space.
     #[derive(Default)]

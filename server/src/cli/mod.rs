@@ -21,6 +21,7 @@ use std::io::{self, Write};
 use std::path::PathBuf;
 
 use clap::{CommandFactory, Parser, Subcommand};
+use tracing_subscriber::filter::LevelFilter;
 
 use crate::error::BoxError;
 use crate::pool;
@@ -127,9 +128,9 @@ impl Command {
     }
 
     /// Returns the log level that applies if `RUST_LOG` is not set.
-    pub fn default_log(&self) -> &'static str {
+    pub fn default_log(&self) -> LevelFilter {
         match self {
-            Self::Serve(_) => "info",
+            Self::Serve(_) => LevelFilter::INFO,
             Self::Extract(_)
             | Self::Slice(_)
             | Self::Jobs(_)
@@ -139,7 +140,7 @@ impl Command {
             | Self::Devices(_)
             | Self::Completions(_)
             | Self::Manual(_)
-            | Self::Bench(_) => "warn",
+            | Self::Bench(_) => LevelFilter::WARN,
         }
     }
 }

@@ -21,6 +21,9 @@ const MAX_RANKS: usize = 1 << 20;
 /// Rounding that is worth a notice, relative to the range of values: half a bin of a histogram is 2,000 times that.
 const ROUNDING: f64 = 1e-6;
 
+/// Computes the values of a row from its stored numbers, which the first argument returns by their indices.
+pub(super) type ConvertRow<'a, S, T> = dyn Fn(&dyn Fn(usize) -> S, &mut [T]) + 'a;
+
 impl Findings {
     /// Reads one of `steps` time steps with `read`, which hands samples to the sink, and evaluates the losses of the conversion. Reads
     /// twice if labels need ranks.

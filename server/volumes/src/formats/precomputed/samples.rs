@@ -10,6 +10,7 @@ use super::super::ahead::Work;
 use super::super::store::{Store, join};
 use super::encoding::{Encoding, Shape, gunzip, max_stored};
 use super::sharding::{Entry, Minishard, Sharding, compressed_morton, find};
+use crate::conversion::ConvertRow;
 use crate::parallel::{try_map, try_map_items, try_sum};
 use crate::remote::Part;
 use crate::scalar::{DeviceScalar, Scalar};
@@ -166,7 +167,7 @@ impl PrecomputedSamples {
     fn read_as<S: Scalar, T: Scalar>(
         &self,
         progress: &ReadProgress,
-        fill: &dyn Fn(&dyn Fn(usize) -> S, &mut [T]),
+        fill: &ConvertRow<'_, S, T>,
     ) -> Result<Vec<T>, ReadError> {
         if !self.store.is_remote() {
             self.check(self.file_bytes()?)?;
@@ -365,7 +366,7 @@ impl PrecomputedSamples {
         chunk: &Chunk,
         stored: &[u8],
         values: &mut [T],
-        fill: &dyn Fn(&dyn Fn(usize) -> S, &mut [T]),
+        fill: &ConvertRow<'_, S, T>,
     ) {
         let [nx, ny, nz] = chunk.shape.size.map(|n| n as usize);
         let first = chunk.first.map(|n| n as usize);

@@ -12,6 +12,7 @@ use isopeel_kernels::{SampleType, Samples};
 
 use super::super::store::Store;
 use super::metadata::Array;
+use crate::conversion::ConvertRow;
 use crate::formats::variables::{layout::Layout, values::Values};
 use crate::parallel::{try_map, try_map_items};
 use crate::scalar::{DeviceScalar, Scalar};
@@ -173,7 +174,7 @@ impl ZarrSamples {
         step: u32,
         progress: &ReadProgress,
         fill: S,
-        convert: &dyn Fn(&dyn Fn(usize) -> S, &mut [T]),
+        convert: &ConvertRow<'_, S, T>,
     ) -> Result<Vec<T>, ReadError> {
         let reading = Reading::new(progress);
         if !self.store.is_remote() {
@@ -285,7 +286,7 @@ impl ZarrSamples {
         block: &[u64],
         stored: &[u8],
         values: &mut [T],
-        convert: &dyn Fn(&dyn Fn(usize) -> S, &mut [T]),
+        convert: &ConvertRow<'_, S, T>,
     ) {
         let pipeline = self
             .array
