@@ -31,7 +31,7 @@ impl<B: Backend> Session<B> {
                 let message = "cap: true, the stream has no caps yet, expected false; exports have them";
                 self.send_error("bad-edit", message, true);
             }
-            // Without the role `edit` an edit may change nothing: it requests the opening view.
+            // Without the role `edit` only an edit that changes nothing is allowed: it requests the opening view.
             Ok(view) if view != before && !self.who.may(Role::Edit) => self.refuse_edit(),
             Ok(view) => self.accept_edit(surface, view, edit),
             Err(error) => self.send_error("bad-edit", error.to_string(), true),
@@ -57,8 +57,8 @@ impl<B: Backend> Session<B> {
         }
     }
 
-    /// Gives each surface its part of the budget, once all surfaces that share it are counted. Remakes surfaces whose part has changed, and
-    /// `edited` in any case.
+    /// Gives each surface its part of the budget, once all surfaces that share the budget are counted. Remakes the surfaces whose parts
+    /// have changed, except `edited`, which is marked as changed before.
     pub(super) fn allot(&mut self, edited: Option<u8>) {
         let lacking = self.opened.as_mut().map(OpenVolume::lacking);
         lacking.into_iter().flatten().for_each(|number| self.change(number));
@@ -82,6 +82,7 @@ impl<B: Backend> Session<B> {
         outdated.into_iter().flatten().for_each(|number| self.change(number));
     }
 
+    /// Handles `cancel`: ends all work for the surfaces, which stay as the client holds them.
     pub(super) fn on_cancel(&mut self) {
         self.questions.clear();
         self.outbox.drop_annotations();
@@ -91,7 +92,7 @@ impl<B: Backend> Session<B> {
                 continue;
             };
             if session.is_busy() {
-                // The surface was not made with its part of the budget. Clearing the part makes the next edit remake it.
+                // The surface was not made with its part of the budget. Clearing the part makes the next edit remake the surface.
                 session.allotted = None;
             }
             session.edit_pending = false;
@@ -105,20 +106,23 @@ impl<B: Backend> Session<B> {
         }
     }
 
-    /// Returns the number if the surface exists; otherwise sends the error `unknown-surface`, or `not-open` if no volume is open.
+    /// Returns the number of a surface if it exists; otherwise sends the error `unknown-surface`, or `not-open` if no volume is open.
     pub(super) fn find_surface(&mut self, surface: u32) -> Option<u8> {
         let Some(opened) = &self.opened else {
             self.send_error("not-open", "no volume is open, expected `open` first", true);
             return None;
         };
         let numbers: Vec<u8> = opened.surfaces().map(|(number, _)| number).collect();
-        let found = numbers.iter().copied().find(|&number| u32::from(number) == surface);
-        if found.is_none() {
-            let there: Vec<String> = numbers.iter().map(u8::to_string).collect();
-            let message = format!("surface: {surface} is not there, expected one of {}", there.join(", "));
+        let number = numbers.iter().copied().find(|&number| u32::from(number) == surface);
+        if number.is_none() {
+            let existing: Vec<String> = numbers.iter().map(u8::to_string).collect();
+            let message = format!(
+                "surface: {surface} is not there, expected one of {}",
+                existing.join(", ")
+            );
             self.send_error("unknown-surface", message, true);
         }
-        found
+        number
     }
 
     pub(super) fn on_remove(&mut self, surface: u32) {
@@ -138,6 +142,7 @@ impl<B: Backend> Session<B> {
         self.allot(None);
     }
 
+    /// Handles `drawn`: the client has drawn the first prefix of a generation.
     pub(super) fn on_drawn(&mut self, generation: u32) {
         self.acknowledges = true;
         let surface = self
@@ -157,7 +162,7 @@ impl<B: Backend> Session<B> {
         };
         let Some(mut generation) = session.stop() else { return };
         if !matches!(generation.sending, Sending::Idle) {
-            // Drops the jobs on the pool: their results are not needed any more.
+            // Drops the jobs on the pool, because their results are not needed any more.
             self.pool = FuturesOrdered::new();
         }
         self.outbox.drop_surface(surface);

@@ -53,7 +53,7 @@ pub(super) struct Generation {
     pub can_improve: bool,
     /// Whether a newer edit waits until a step of this generation is committed, so that the client sees some surfaces during a drag.
     pub is_overtaken: bool,
-    /// Device time so far.
+    /// Device time of the generation's jobs so far.
     pub wall: Duration,
     /// Time of each stage so far.
     pub stages: Vec<StageTime>,
@@ -67,7 +67,7 @@ pub(super) struct Generation {
     /// Guard that delays the further steps of other members of the group until this first step is ready to be sent. `None` if the viewer is
     /// in no group or its line is full.
     pub first_step: Option<FirstStep>,
-    /// When an edit began this generation; `None` for a surface that is improved at rest.
+    /// When an edit began this generation; `None` if it improves a surface at rest.
     begun: Option<Instant>,
     pub token: CancellationToken,
     /// Cancels `token` when the generation is dropped.
@@ -116,8 +116,8 @@ pub(super) struct StepBeingSent {
     pub can_improve: bool,
     /// Triangles of the whole surface once the step is committed.
     pub surface_triangles: u64,
-    /// What was made for this viewer; `None` if the job of another viewer made the step.
-    pub own: Option<OwnStep>,
+    /// Size and time of the step for the pace; `None` if the job of another viewer made the step.
+    pub own_step: Option<OwnStep>,
     /// When the comparison of the step began.
     pub began: Instant,
     /// Bytes of the step's chunks so far.
@@ -128,10 +128,10 @@ pub(super) struct StepBeingSent {
     pub statistics: Option<ExtractionStatistics>,
 }
 
-/// Triangles of a step, and the time for them: a measurement for the pace.
+/// Triangles of a step that was made for this viewer, and the time for them: a measurement for the pace.
 pub(super) struct OwnStep {
     pub triangles: u64,
-    /// Time of meshing, from when the cut of the step was known.
+    /// Time of meshing, counted from when the cut of the step was known.
     pub time: Duration,
 }
 
@@ -166,8 +166,8 @@ impl Generation {
 
     /// Whether this generation only improves a final surface at rest, and none of its frames was sent.
     pub(super) fn is_unsent_improvement(&mut self) -> bool {
-        let is_seen = |sent: &mut StepBeingSent| sent.handed_over.is_some();
-        self.begun.is_none() && !self.committed && !self.sent().is_some_and(is_seen)
+        let was_handed_over = |sent: &mut StepBeingSent| sent.handed_over.is_some();
+        self.begun.is_none() && !self.committed && !self.sent().is_some_and(was_handed_over)
     }
 
     /// Creates a generation that an edit has requested.
@@ -219,7 +219,7 @@ impl Generation {
         }
     }
 
-    /// Changes the part of the budget. Does nothing if the view has no budget. Called only before the first step is begun.
+    /// Changes the surface's part of the budget. Does nothing if the view has no budget. Called only before the first step is begun.
     pub(super) fn set_budget(&mut self, budget: Option<Budget>) {
         if self.view.budget.is_some() && budget.is_some() && self.view.budget != budget {
             self.view.budget = budget;
@@ -243,7 +243,8 @@ impl Generation {
         self.steps_made == 0 && matches!(self.making, Making::Waiting)
     }
 
-    /// After a failure: makes an empty surface the next step, after which the client holds nothing. Waits if another step is being sent.
+    /// After a failure, queues an empty surface as the next step, which removes the surface from the client. If another step is being sent,
+    /// the generation waits.
     pub(super) fn queue_empty_step(&mut self, volume: &VolumeStep) {
         self.making = match self.sending {
             Sending::Idle => Making::Made(Offered::nothing(&self.view, volume)),
@@ -252,7 +253,7 @@ impl Generation {
     }
 
     /// Takes the step that waits to be sent.
-    pub(super) fn take_made(&mut self) -> Option<Offered> {
+    pub(super) fn take_made_step(&mut self) -> Option<Offered> {
         match std::mem::replace(&mut self.making, Making::Waiting) {
             Making::Made(offered) => {
                 if offered.step.made.is_final {
@@ -279,7 +280,7 @@ impl Generation {
             ExtractionStatistics::new(&kernels, &made.view, smallest_length, self.wall, device)
         });
         let triangles = offered.step.regions.iter().map(|region| region.triangles as u64);
-        let own = offered.is_own.then(|| OwnStep {
+        let own_step = offered.is_own.then(|| OwnStep {
             triangles: triangles.sum(),
             time: made.meshing,
         });
@@ -289,7 +290,7 @@ impl Generation {
             is_final: made.is_final,
             can_improve: made.can_improve,
             surface_triangles: made.surface.statistics.triangles,
-            own,
+            own_step,
             began: Instant::now(),
             bytes: 0,
             handed_over: None,
@@ -298,7 +299,7 @@ impl Generation {
     }
 
     /// Records that the pool has compared the step that is being sent.
-    pub(super) fn compared(&mut self, changes: Changes) {
+    pub(super) fn record_comparison(&mut self, changes: Changes) {
         let Sending::Comparing(sent) = std::mem::replace(&mut self.sending, Sending::Idle) else {
             return;
         };
