@@ -1,5 +1,5 @@
-//! Cache of overviews, and the overviews that are being made. All callers that ask for one overview share the work on it; the work ends when
-//! the last of them leaves.
+//! Cache of overviews, and the overviews that are being made. All callers of the same overview share the work on it. The work ends when the
+//! last of these callers leaves.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, Weak};
@@ -7,13 +7,14 @@ use std::sync::{Arc, Mutex, Weak};
 use isopeel_extraction::{Lru, VolumeKey, lock};
 use isopeel_kernels::{Overview, OverviewMode, OverviewWork};
 
-/// Maximum number of values along each axis: at most 2 MiB in all, which a page draws in a browser without a GPU.
+/// Maximum number of values along each axis. A value takes a byte, so an overview takes at most 2 MiB, which a browser can draw without a
+/// GPU.
 const OVERVIEW_SIDE: u32 = 128;
 
 /// Maximum bytes of cached overviews: some time steps of a field, in both modes.
-const KEPT_BYTES: u64 = 32 << 20;
+const MAX_CACHED_BYTES: u64 = 32 << 20;
 
-/// Key of an overview.
+/// Key of an overview: its volume and its mode.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub(super) struct OverviewKey {
     pub volume: VolumeKey,
@@ -39,7 +40,7 @@ pub(super) struct UnfinishedOverview {
 impl Default for Overviews {
     fn default() -> Self {
         Self {
-            cached: Mutex::new(Lru::new(KEPT_BYTES)),
+            cached: Mutex::new(Lru::new(MAX_CACHED_BYTES)),
             unfinished: Mutex::default(),
         }
     }
