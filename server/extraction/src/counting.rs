@@ -12,7 +12,7 @@ use super::on_device::Nodes;
 use super::workspace::Workspace;
 
 impl Workspace {
-    /// Counts the full surface of a view, which is resolved.
+    /// Counts the triangles of the full surface of a view, and resolves the view.
     ///
     /// # Errors
     /// [`JobError`].

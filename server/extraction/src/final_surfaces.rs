@@ -1,4 +1,4 @@
-//! Final surfaces of views, and how far they are from the undecimated ones.
+//! Makes final surfaces of views, and measures how far they are from the undecimated surfaces.
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -42,8 +42,8 @@ impl Workspace {
         })
     }
 
-    /// Measures the error of a view's final surface, which the dual mesher made: a cut of the vertex tree if `view.fitted` says so and the
-    /// tree can be built, else a cut of cubes. `None` if the surface has no triangles.
+    /// Measures the error of a view's final surface, which the dual mesher has made. The surface is a cut of the vertex tree if
+    /// `view.fitted` says so and the tree can be built, else a cut of cubes. `None` if the surface has no triangles.
     ///
     /// # Errors
     /// [`JobError`].
@@ -55,12 +55,12 @@ impl Workspace {
     ) -> Result<Option<Measurement>, JobError> {
         self.with_pyramid(volume, view, Nodes::OfTheView, context, |on, view, cancel| {
             let is_tree_cut = view.fitted.is_some_and(|fitted| fitted.is_tree_cut);
-            let of_tree = if is_tree_cut {
+            let tree_error = if is_tree_cut {
                 on.measure_tree(view, cancel)?
             } else {
                 None
             };
-            let measured = match of_tree {
+            let measured = match tree_error {
                 Some(measured) => measured,
                 None => {
                     let params = on.params_of(view);
@@ -80,7 +80,7 @@ impl Workspace {
 }
 
 impl OnDevice<'_> {
-    /// Makes the final surface, and returns the cost of refining it.
+    /// Makes the final surface. Returns it with the cost of refining, if it was refined.
     fn final_surface(
         &self,
         view: &mut View,
@@ -95,7 +95,7 @@ impl OnDevice<'_> {
         let refines = refining != Refining::Never;
         let (params, cut) = if view.is_by_error() {
             // If the surface is to be refined, its error is measured after the refinement.
-            match self.decided(view, ceiling, true, measures && !refines, cancel)? {
+            match self.decide(view, ceiling, true, measures && !refines, cancel)? {
                 Decided::Tree(_) if refines => {
                     let (surface, cost) = self.refined_tree_surface(view, making, cancel)?;
                     return Ok((surface, Some(cost)));
