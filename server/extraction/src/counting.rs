@@ -23,11 +23,11 @@ impl Workspace {
         context: &mut JobContext<'_, Self>,
     ) -> Result<FullCount, JobError> {
         let start = Instant::now();
-        self.with_pyramid(volume, view, Nodes::All, context, |on, _, _| {
+        self.with_pyramid(volume, view, Nodes::All, context, |job, _, _| {
             Ok(FullCount {
-                triangles: on.pyramid.full_triangles(),
-                stages: on.new_pyramid_stages().to_vec(),
-                wall: on.own_time(start),
+                triangles: job.pyramid.full_triangles(),
+                stages: job.new_pyramid_stages().to_vec(),
+                wall: job.own_time(start),
             })
         })
     }

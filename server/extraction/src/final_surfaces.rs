@@ -29,9 +29,9 @@ impl Workspace {
     ) -> Result<Extraction, JobError> {
         let (start, mut view) = (Instant::now(), view.clone());
         let (surface, refined, wall) =
-            self.with_pyramid(volume, &mut view, Nodes::OfTheView, context, |on, view, cancel| {
-                let (surface, refined) = on.final_surface(view, making, cancel)?;
-                Ok((surface, refined, on.own_time(start)))
+            self.with_pyramid(volume, &mut view, Nodes::OfTheView, context, |job, view, cancel| {
+                let (surface, refined) = job.final_surface(view, making, cancel)?;
+                Ok((surface, refined, job.own_time(start)))
             })?;
         Ok(Extraction {
             surface,
@@ -53,21 +53,21 @@ impl Workspace {
         view: &mut View,
         context: &mut JobContext<'_, Self>,
     ) -> Result<Option<Measurement>, JobError> {
-        self.with_pyramid(volume, view, Nodes::OfTheView, context, |on, view, cancel| {
+        self.with_pyramid(volume, view, Nodes::OfTheView, context, |job, view, cancel| {
             let is_tree_cut = view.fitted.is_some_and(|fitted| fitted.is_tree_cut);
             let tree_error = if is_tree_cut {
-                on.measure_tree(view, cancel)?
+                job.measure_tree(view, cancel)?
             } else {
                 None
             };
             let measured = match tree_error {
                 Some(measured) => measured,
                 None => {
-                    let params = on.params_of(view);
-                    on.engine.measure_error(on.volume, on.pyramid, &params, cancel)?
+                    let params = job.params_of(view);
+                    job.engine.measure_error(job.volume, job.pyramid, &params, cancel)?
                 }
             };
-            let in_world = |error| MeasuredError::in_world(error, on.smallest);
+            let in_world = |error| MeasuredError::in_world(error, job.smallest);
             let regions = measured.regions.into_iter();
             Ok(in_world(measured.whole).map(|whole| Measurement {
                 whole,

@@ -153,7 +153,7 @@ impl Workspace {
             }
         }
         let pyramid = self.pyramids.peek(&key).map(Arc::clone).ok_or(WorkError::Stopped)?;
-        let on = OnDevice {
+        let job = OnDevice {
             engine: &engine,
             cuts: &cuts,
             trees: &trees,
@@ -169,6 +169,6 @@ impl Workspace {
             smallest,
             index_space,
         };
-        context.run(self, &take_times, &job_times, |cancel| work(&on, view, cancel))
+        context.run(self, &take_times, &job_times, |cancel| work(&job, view, cancel))
     }
 }

@@ -86,8 +86,8 @@ impl Workspace {
             (Question::Probe(position), shown) => Ok(Answer::Probe(self.probe(volume, shown, position, context)?)),
             (_, None) => Err(WorkError::NothingShown.into()),
             (Question::Distribution(bins), Some(shown)) => {
-                let counts = self.with_shown_cut(volume, shown, context, |on, params, cut, _| {
-                    let counts = on.engine.distribution(on.volume, on.pyramid, params, cut, bins)?;
+                let counts = self.with_shown_cut(volume, shown, context, |job, params, cut, _| {
+                    let counts = job.engine.distribution(job.volume, job.pyramid, params, cut, bins)?;
                     Ok((kind_of(cut), counts))
                 })?;
                 Ok(Answer::Distribution(distribution(counts)))
@@ -100,14 +100,14 @@ impl Workspace {
             )?)),
             (Question::Curve, Some(shown)) => {
                 let by_error = shown.view.is_by_error();
-                let curve = self.with_shown_cut(volume, shown, context, |on, params, cut, cancel| {
+                let curve = self.with_shown_cut(volume, shown, context, |job, params, cut, cancel| {
                     // If the full surface is within the budget, nothing has been merged.
                     let tolerance = by_error.then(|| params.tolerance.unwrap_or(0.0));
                     let params = CutParams {
                         tolerance,
                         ..params.clone()
                     };
-                    let points = on.engine.error_curve(on.volume, on.pyramid, &params, cut, cancel)?;
+                    let points = job.engine.error_curve(job.volume, job.pyramid, &params, cut, cancel)?;
                     Ok((kind_of(cut), points))
                 })?;
                 let (kind, points) = curve;
@@ -140,22 +140,24 @@ impl Workspace {
         };
         let nearest = match shown {
             None => None,
-            Some(shown) => self.with_shown_cut(volume, shown, context, |on, params, cut, _| {
+            Some(shown) => self.with_shown_cut(volume, shown, context, |job, params, cut, _| {
                 let view = &shown.view;
-                let nearest = on.engine.probe(on.volume, on.pyramid, params, index, Some(cut))?;
+                let nearest = job.engine.probe(job.volume, job.pyramid, params, index, Some(cut))?;
                 Ok(nearest.map(|nearest| NearestSurface {
-                    distance: in_world(nearest.distance, on.smallest),
+                    distance: in_world(nearest.distance, job.smallest),
                     smoothness: nearest.smoothness,
-                    feature: view.feature.range_in_world([nearest.feature; 2], on.smallest)[0],
+                    feature: view.feature.range_in_world([nearest.feature; 2], job.smallest)[0],
                     blended: nearest.blended,
                     importance: nearest.importance,
                     leaf: nearest.leaf.map(|leaf| NearestLeaf {
                         kind: kind_of(cut),
                         level: leaf.level,
-                        error: in_world(leaf.error, on.smallest),
+                        error: in_world(leaf.error, job.smallest),
                     }),
                     part: nearest.part.map(|part| part.number),
-                    part_area: nearest.part.map(|part| in_world(part.area, on.smallest * on.smallest)),
+                    part_area: nearest
+                        .part
+                        .map(|part| in_world(part.area, job.smallest * job.smallest)),
                 }))
             })?,
         };
@@ -176,25 +178,26 @@ impl Workspace {
         context: &mut JobContext<'_, Self>,
     ) -> Result<Vec<VertexErrors>, JobError> {
         let mut view = shown.view.clone();
-        self.with_pyramid(volume, &mut view, Nodes::All, context, |on, view, cancel| {
+        self.with_pyramid(volume, &mut view, Nodes::All, context, |job, view, cancel| {
             let is_tree_cut = view.is_by_error() && view.fitted.is_some_and(|fitted| fitted.is_tree_cut);
             let tree_cut = match is_tree_cut {
-                true => on.tree_surface(&mut view.clone(), u64::MAX, false, cancel)?,
+                true => job.tree_surface(&mut view.clone(), u64::MAX, false, cancel)?,
                 false => TreeCut::NoTree,
             };
             let surface = match tree_cut {
                 TreeCut::Made(surface) => surface,
                 TreeCut::Refused(_) | TreeCut::NoTree => {
-                    let (params, cut) = (on.params_of(view), on.cut_of(shown.cut, view)?);
-                    on.engine.surface(on.volume, on.pyramid, &params, &cut, None, cancel)?
+                    let (params, cut) = (job.params_of(view), job.cut_of(shown.cut, view)?);
+                    job.engine
+                        .surface(job.volume, job.pyramid, &params, &cut, None, cancel)?
                 }
             };
             let regions = surface.regions;
-            let distances = on
+            let distances = job
                 .engine
-                .vertex_distances(on.volume, on.pyramid, &regions, distance_of, cancel)?;
+                .vertex_distances(job.volume, job.pyramid, &regions, distance_of, cancel)?;
             let pairs = regions.into_iter().zip(distances);
-            let in_world = |length| in_world(length, on.smallest);
+            let in_world = |length| in_world(length, job.smallest);
             Ok(pairs
                 .map(|(region, distances)| VertexErrors {
                     region,
@@ -233,20 +236,20 @@ impl Workspace {
         work: impl Fn(&OnDevice<'_>, &CutParams, &ShownCut<'_>, &dyn Cancel) -> Result<T, JobError>,
     ) -> Result<T, JobError> {
         let mut view = shown.view.clone();
-        self.with_pyramid(volume, &mut view, Nodes::All, context, |on, view, cancel| {
-            let params = on.params_of(view);
+        self.with_pyramid(volume, &mut view, Nodes::All, context, |job, view, cancel| {
+            let params = job.params_of(view);
             if view.is_by_error()
                 && view.fitted.is_some_and(|fitted| fitted.is_tree_cut)
-                && let Some(tree) = on.tree(view, &params, cancel)?
+                && let Some(tree) = job.tree(view, &params, cancel)?
             {
-                let goal = on.tree_goal(view, &tree, &params, cancel)?;
-                let (engine, volume, pyramid) = (on.engine, on.volume, on.pyramid);
+                let goal = job.tree_goal(view, &tree, &params, cancel)?;
+                let (engine, volume, pyramid) = (job.engine, job.volume, job.pyramid);
                 let cut = engine.shown_tree_cut(volume, pyramid, &tree, &params, &goal, cancel)?;
-                let answer = work(on, &params, &cut, cancel)?;
-                on.cache_tree(&tree);
+                let answer = work(job, &params, &cut, cancel)?;
+                job.cache_tree(&tree);
                 return Ok(answer);
             }
-            work(on, &params, &ShownCut::Cubes(&*on.cut_of(shown.cut, view)?), cancel)
+            work(job, &params, &ShownCut::Cubes(&*job.cut_of(shown.cut, view)?), cancel)
         })
     }
 }

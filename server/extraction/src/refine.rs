@@ -77,11 +77,11 @@ impl Workspace {
         context: &mut JobContext<'_, Self>,
     ) -> Result<Refinement, JobError> {
         let start = Instant::now();
-        self.with_pyramid(volume, view, Nodes::All, context, |on, view, cancel| {
+        self.with_pyramid(volume, view, Nodes::All, context, |job, view, cancel| {
             let is_first = step.shown == Shown::Another && step.target.is_none();
-            let full = on.pyramid.full_triangles();
-            let builds_tree = on.builds_tree_soon();
-            let tree_first = view.is_by_error() && on.cuts_tree(view, step);
+            let full = job.pyramid.full_triangles();
+            let builds_tree = job.builds_tree_soon();
+            let tree_first = view.is_by_error() && job.cuts_tree(view, step);
             let expected = match view.budget {
                 _ if tree_first => Some(view.max_triangles(full).unwrap_or(full / EXPECTED_DIVISOR).min(full)),
                 Some(Budget::Triangles(budget)) if view.fitted.is_none() => Some(budget.of(full)),
@@ -89,48 +89,48 @@ impl Workspace {
             };
             if is_first
                 && let Some(expected) = expected
-                && let Some(prefix) = unfitted_prefix(on, expected, step)
+                && let Some(prefix) = unfitted_prefix(job, expected, step)
             {
-                return Ok(make_unfitted(on, view, prefix, cancel)?.refinement(view, false, on.own_time(start)));
+                return Ok(make_unfitted(job, view, prefix, cancel)?.refinement(view, false, job.own_time(start)));
             }
             if tree_first
                 && let Some(expected) = expected
-                && let Some(prefix) = tree_steps::next_prefix(step, on.regions(), expected)
-                && let Some(surface) = on.tree_prefix(view, prefix, cancel)?
+                && let Some(prefix) = tree_steps::next_prefix(step, job.regions(), expected)
+                && let Some(surface) = job.tree_prefix(view, prefix, cancel)?
                 // A cut without additional triangles is no progress. It occurs if parts are removed: then every cut has few triangles.
                 && surface.statistics.triangles > step.made_triangles
             {
-                return Ok(on.tree_prefix_refinement(surface, view, on.own_time(start)));
+                return Ok(job.tree_prefix_refinement(surface, view, job.own_time(start)));
             }
-            let cached = step.target.and_then(|id| Some((id, lock(on.cuts).get(id)?)));
-            let cached = cached.filter(|(_, target)| !tree_first && target.is_of(on.pyramid));
+            let cached = step.target.and_then(|id| Some((id, lock(job.cuts).get(id)?)));
+            let cached = cached.filter(|(_, target)| !tree_first && target.is_of(job.pyramid));
             let (params, target_id, target, can_improve) = match cached {
-                Some((id, target)) => (on.params_of(view), id, target, view.is_by_error()),
-                None if view.is_by_error() => match on.decide(view, ceiling_triangles, tree_first, false, cancel)? {
-                    Decided::Tree(surface) => return Ok(on.tree_refinement(surface, view, on.own_time(start))),
+                Some((id, target)) => (job.params_of(view), id, target, view.is_by_error()),
+                None if view.is_by_error() => match job.decide(view, ceiling_triangles, tree_first, false, cancel)? {
+                    Decided::Tree(surface) => return Ok(job.tree_refinement(surface, view, job.own_time(start))),
                     Decided::Cubes {
                         params,
                         cut: target,
                         can_improve,
                     } => {
-                        let id = lock(on.cuts).insert(Arc::clone(&target));
+                        let id = lock(job.cuts).insert(Arc::clone(&target));
                         (params, id, target, can_improve)
                     }
                 },
                 None => {
-                    let (params, target) = on.cut_within(view, ceiling_triangles, cancel)?;
+                    let (params, target) = job.cut_within(view, ceiling_triangles, cancel)?;
                     let target = Arc::new(target);
-                    let id = lock(on.cuts).insert(Arc::clone(&target));
+                    let id = lock(job.cuts).insert(Arc::clone(&target));
                     (params, id, target, false)
                 }
             };
             let shown = match step.shown {
-                Shown::Cut(id) => lock(on.cuts).get(id),
+                Shown::Cut(id) => lock(job.cuts).get(id),
                 Shown::Another | Shown::Alike => None,
             };
             let meshing = Instant::now();
             let maker = StepMaker {
-                on,
+                job,
                 params: &params,
                 target: &target,
                 step,
@@ -140,13 +140,13 @@ impl Workspace {
             // A cut of cubes still contains the parts that are to be removed, so a cut of the tree follows.
             let is_final = cut.is_none() && !view.removes_parts();
             let result = StepResult {
-                surface: on.with_all_stages(surface),
+                surface: job.with_all_stages(surface),
                 is_final,
-                cut: cut.map_or(target_id, |cut| lock(on.cuts).insert(Arc::new(cut))),
+                cut: cut.map_or(target_id, |cut| lock(job.cuts).insert(Arc::new(cut))),
                 target: Some(target_id),
                 meshing: meshing.elapsed(),
             };
-            Ok(result.refinement(view, is_final && can_improve && !builds_tree, on.own_time(start)))
+            Ok(result.refinement(view, is_final && can_improve && !builds_tree, job.own_time(start)))
         })
     }
 }
@@ -190,8 +190,8 @@ impl StepResult {
 /// Returns the prefix that is made before a budget is fitted or the vertex tree is built, if one is needed. Fitting searches for a
 /// threshold and counts several cuts: on a CPU this takes about as long as building the pyramid. `expected`: triangles of the final
 /// surface.
-fn unfitted_prefix(on: &OnDevice<'_>, expected: u64, step: Step) -> Option<Level> {
-    let step_triangles = match on.engine.device().kind {
+fn unfitted_prefix(job: &OnDevice<'_>, expected: u64, step: Step) -> Option<Level> {
+    let step_triangles = match job.engine.device().kind {
         DeviceKind::Cpu => step.fresh_triangles,
         DeviceKind::Gpu | DeviceKind::Other => step.triangles,
     };
@@ -199,7 +199,7 @@ fn unfitted_prefix(on: &OnDevice<'_>, expected: u64, step: Step) -> Option<Level
         return None;
     }
     let fits = |level: &Level| {
-        let triangles = on.pyramid.nodes(*level) * TRIANGLES_PER_LEAF;
+        let triangles = job.pyramid.nodes(*level) * TRIANGLES_PER_LEAF;
         triangles <= prefix_triangles(step) && triangles * 100 <= expected.saturating_mul(UNFITTED_PERCENT)
     };
     finest_prefix(MAX_LEVEL.get(), fits)
@@ -211,19 +211,21 @@ fn finest_prefix(coarsest: u8, fits: impl FnMut(&Level) -> bool) -> Option<Level
 }
 
 /// Makes the surface of a prefix at threshold 0. Such a prefix is a step towards the surface of any threshold.
-fn make_unfitted(on: &OnDevice<'_>, view: &View, prefix: Level, cancel: &dyn Cancel) -> Result<StepResult, WorkError> {
+fn make_unfitted(job: &OnDevice<'_>, view: &View, prefix: Level, cancel: &dyn Cancel) -> Result<StepResult, WorkError> {
     let start = Instant::now();
     let params = CutParams {
         beta: 0.0,
         tolerance: None,
-        ..on.params_of(view)
+        ..job.params_of(view)
     };
-    let cut = on.engine.cut(on.volume, on.pyramid, &params, prefix)?;
-    let surface = on.engine.surface(on.volume, on.pyramid, &params, &cut, None, cancel)?;
+    let cut = job.engine.cut(job.volume, job.pyramid, &params, prefix)?;
+    let surface = job
+        .engine
+        .surface(job.volume, job.pyramid, &params, &cut, None, cancel)?;
     Ok(StepResult {
-        surface: on.with_all_stages(surface),
+        surface: job.with_all_stages(surface),
         is_final: false,
-        cut: lock(on.cuts).insert(Arc::new(cut)),
+        cut: lock(job.cuts).insert(Arc::new(cut)),
         target: None,
         meshing: start.elapsed(),
     })
@@ -249,7 +251,7 @@ type SurfaceOfCut = (Surface, Option<Cut>);
 
 /// Inputs of a step, which makes the step's surface.
 struct StepMaker<'a> {
-    on: &'a OnDevice<'a>,
+    job: &'a OnDevice<'a>,
     params: &'a CutParams,
     target: &'a Cut,
     step: Step,
@@ -259,9 +261,9 @@ struct StepMaker<'a> {
 impl StepMaker<'_> {
     /// Makes the surface of the step. `shown`: the cut that the client shows, if it is cached.
     fn make(&self, shown: Option<&Cut>) -> Result<SurfaceOfCut, WorkError> {
-        let on = self.on;
+        let job = self.job;
         let differences = match shown {
-            Some(shown) => on.engine.differences(on.volume, on.pyramid, shown, self.target)?,
+            Some(shown) => job.engine.differences(job.volume, job.pyramid, shown, self.target)?,
             None => None,
         };
         match (shown, differences) {
@@ -274,10 +276,10 @@ impl StepMaker<'_> {
 
     /// Makes the whole surface of a cut. With `kept`, makes only the regions that differ from the shown cut.
     fn surface(&self, cut: &Cut, kept: Option<Kept<'_>>) -> Result<Surface, WorkError> {
-        let on = self.on;
-        Ok(on
+        let job = self.job;
+        Ok(job
             .engine
-            .surface(on.volume, on.pyramid, self.params, cut, kept, self.cancel)?)
+            .surface(job.volume, job.pyramid, self.params, cut, kept, self.cancel)?)
     }
 
     /// Makes the whole surface of the target.
@@ -290,8 +292,8 @@ impl StepMaker<'_> {
         let Some(prefix) = self.first_prefix() else {
             return self.whole_target();
         };
-        let on = self.on;
-        let cut = on.engine.cut(on.volume, on.pyramid, self.params, prefix)?;
+        let job = self.job;
+        let cut = job.engine.cut(job.volume, job.pyramid, self.params, prefix)?;
         Ok((self.surface(&cut, None)?, Some(cut)))
     }
 
@@ -317,7 +319,7 @@ impl StepMaker<'_> {
     }
 
     fn regions(&self) -> u64 {
-        self.on.regions()
+        self.job.regions()
     }
 
     /// Estimates the bytes of a prefix of this number of leaves.
@@ -344,7 +346,7 @@ impl StepMaker<'_> {
     /// Replaces the shown leaves by the target's, region by region until the step's limits are reached. On a slow line, makes a finer
     /// prefix instead if there is one.
     fn replace_leaves(&self, shown: &Cut, differences: &Differences) -> Result<SurfaceOfCut, WorkError> {
-        let on = self.on;
+        let job = self.job;
         let remade = differences.meshes.iter().enumerate().filter(|(_, remake)| **remake);
         let remade: Vec<u64> = remade.map(|(region, _)| self.target.region_leaves(region)).collect();
         let leaves = remade.iter().sum();
@@ -353,15 +355,15 @@ impl StepMaker<'_> {
             return Ok((self.surface(self.target, Some(Kept { shown, differences }))?, None));
         }
         if is_line_slow && let Some(prefix) = self.next_prefix(shown) {
-            let cut = on.engine.cut(on.volume, on.pyramid, self.params, prefix)?;
-            if let Some(differences) = &on.engine.differences(on.volume, on.pyramid, shown, &cut)? {
+            let cut = job.engine.cut(job.volume, job.pyramid, self.params, prefix)?;
+            if let Some(differences) = &job.engine.differences(job.volume, job.pyramid, shown, &cut)? {
                 return Ok((self.surface(&cut, Some(Kept { shown, differences }))?, Some(cut)));
             }
         }
         let mut is_replaced = vec![false; differences.leaves.len()];
         let minimum = self.target.prefix_leaves(Level::FINEST) / MAX_STEPS;
         let (mut leaves, mut regions) = (0, 0);
-        for region in on.pyramid.regions_in_morton_order() {
+        for region in job.pyramid.regions_in_morton_order() {
             let is_full =
                 leaves * TRIANGLES_PER_LEAF >= self.step.triangles || !self.is_sent_in_a_step(leaves, regions);
             if is_full && leaves >= minimum {
@@ -373,8 +375,10 @@ impl StepMaker<'_> {
                 regions += 1;
             }
         }
-        let mixed = on.engine.mix(on.volume, on.pyramid, shown, self.target, &is_replaced)?;
-        let differences = &differences.to_mix(on.pyramid, &is_replaced);
+        let mixed = job
+            .engine
+            .mix(job.volume, job.pyramid, shown, self.target, &is_replaced)?;
+        let differences = &differences.to_mix(job.pyramid, &is_replaced);
         Ok((self.surface(&mixed, Some(Kept { shown, differences }))?, Some(mixed)))
     }
 }

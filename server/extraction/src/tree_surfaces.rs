@@ -39,9 +39,9 @@ impl Workspace {
         context: &mut JobContext<'_, Self>,
     ) -> Result<Option<Refinement>, JobError> {
         let start = Instant::now();
-        self.with_pyramid(volume, view, Nodes::All, context, |on, view, cancel| {
-            Ok(match on.tree_surface(view, ceiling_triangles, false, cancel)? {
-                TreeCut::Made(surface) => Some(on.tree_refinement(surface, view, on.own_time(start))),
+        self.with_pyramid(volume, view, Nodes::All, context, |job, view, cancel| {
+            Ok(match job.tree_surface(view, ceiling_triangles, false, cancel)? {
+                TreeCut::Made(surface) => Some(job.tree_refinement(surface, view, job.own_time(start))),
                 TreeCut::Refused(_) | TreeCut::NoTree => None,
             })
         })

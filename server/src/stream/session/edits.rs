@@ -52,7 +52,7 @@ impl<B: Backend> Session<B> {
         };
         session.edit_pending = true;
         match session.generation_mut() {
-            Some(generation) if !generation.committed => generation.is_overtaken = true,
+            Some(generation) if !generation.has_committed => generation.is_overtaken = true,
             _ => self.end_generation(surface),
         }
     }
@@ -60,8 +60,8 @@ impl<B: Backend> Session<B> {
     /// Gives each surface its part of the budget, once all surfaces that share the budget are counted. Remakes the surfaces whose parts
     /// have changed, except `edited`, which is marked as changed before.
     pub(super) fn allot(&mut self, edited: Option<u8>) {
-        let lacking = self.opened.as_mut().map(OpenVolume::lacking);
-        lacking.into_iter().flatten().for_each(|number| self.change(number));
+        let uncounted = self.opened.as_mut().map(OpenVolume::uncounted_to_retry);
+        uncounted.into_iter().flatten().for_each(|number| self.change(number));
         let Some(allotments) = self.opened.as_ref().and_then(|opened| opened.allotments()) else {
             return;
         };
@@ -78,8 +78,8 @@ impl<B: Backend> Session<B> {
                 _ => self.change(number),
             }
         }
-        let outdated = self.opened.as_ref().map(OpenVolume::outdated);
-        outdated.into_iter().flatten().for_each(|number| self.change(number));
+        let failed = self.opened.as_ref().map(OpenVolume::failed_to_retry);
+        failed.into_iter().flatten().for_each(|number| self.change(number));
     }
 
     /// Handles `cancel`: ends all work for the surfaces, which stay as the client holds them.

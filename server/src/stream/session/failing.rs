@@ -66,7 +66,7 @@ impl<B: Backend> Session<B> {
             let budget = session.view.budget;
             (session.edit_pending, session.key) = (session.proven.is_some(), None);
             if session.proven.is_none() {
-                session.edited = 0;
+                session.last_edit = 0;
             }
             session.view = session.proven.clone().unwrap_or(View { budget, ..opening });
         }

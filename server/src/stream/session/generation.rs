@@ -48,7 +48,7 @@ pub(super) struct Generation {
     /// Triangles of the surface that the last step has made; 0 before the first step.
     pub made_triangles: u64,
     /// Whether any step was committed.
-    pub committed: bool,
+    pub has_committed: bool,
     /// Whether a better surface may follow the final one.
     pub can_improve: bool,
     /// Whether a newer edit waits until a step of this generation is committed, so that the client sees some surfaces during a drag.
@@ -149,7 +149,7 @@ impl Generation {
             target: None,
             steps_made: 0,
             made_triangles: 0,
-            committed: false,
+            has_committed: false,
             can_improve: false,
             is_overtaken: false,
             wall: Duration::ZERO,
@@ -167,7 +167,7 @@ impl Generation {
     /// Whether this generation only improves a final surface at rest, and none of its frames was sent.
     pub(super) fn is_unsent_improvement(&mut self) -> bool {
         let was_handed_over = |sent: &mut StepBeingSent| sent.handed_over.is_some();
-        self.begun.is_none() && !self.committed && !self.sent().is_some_and(was_handed_over)
+        self.begun.is_none() && !self.has_committed && !self.sent().is_some_and(was_handed_over)
     }
 
     /// Creates a generation that an edit has requested.
@@ -183,7 +183,7 @@ impl Generation {
     pub(super) fn record_commit(&mut self, is_final: bool) {
         self.first_step = None;
         let Some(begun) = self.begun else { return };
-        if !self.committed {
+        if !self.has_committed {
             metrics::edit_committed(begun.elapsed());
         }
         if is_final {

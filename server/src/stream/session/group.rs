@@ -196,7 +196,7 @@ impl<B: Backend> Session<B> {
         let Some(opened) = &self.opened else { return };
         // While the volume is being opened, its isovalue is not known.
         if member.has_control() && opened.phase == OpeningPhase::Open {
-            let surfaces = opened.surfaces().filter(|(_, surface)| surface.edited > 0);
+            let surfaces = opened.surfaces().filter(|(_, surface)| surface.last_edit > 0);
             let surfaces = surfaces
                 .map(|(number, surface)| (number, surface.view.clone()))
                 .collect();
@@ -243,7 +243,7 @@ impl<B: Backend> Session<B> {
     fn follow_surfaces(&mut self, scene: &Scene) {
         for (number, view) in &scene.surfaces {
             let Some(opened) = &self.opened else { return };
-            let was_edited = opened.surface(*number).is_some_and(|surface| surface.edited > 0);
+            let was_edited = opened.surface(*number).is_some_and(|surface| surface.last_edit > 0);
             if !was_edited || opened.view_of(*number) != *view {
                 self.begin_edit();
                 let edit = self.edits;
@@ -253,7 +253,7 @@ impl<B: Backend> Session<B> {
         }
         let Some(opened) = &self.opened else { return };
         let is_gone = |number: &u8| scene.surfaces.iter().all(|(shown, _)| shown != number);
-        let edited = opened.surfaces().filter(|(_, surface)| surface.edited > 0);
+        let edited = opened.surfaces().filter(|(_, surface)| surface.last_edit > 0);
         let gone: Vec<u8> = edited.map(|(number, _)| number).filter(is_gone).collect();
         for number in gone {
             self.on_remove(u32::from(number));

@@ -145,7 +145,7 @@ impl<B: Backend> Session<B> {
                     return;
                 };
                 let made = &offered.step.made;
-                if acknowledges && !made.is_final && !generation.committed {
+                if acknowledges && !made.is_final && !generation.has_committed {
                     generation.draw_pause.begin();
                 }
                 let statistics = &made.surface.statistics;

@@ -163,7 +163,7 @@ impl OpenVolume {
         if self.has_to_resolve(number, &edited) {
             self.hold_back(number, edited, None, edits, None);
             if let Some(surface) = self.surface_mut(number) {
-                (surface.edit_pending, surface.edited) = (false, 0);
+                (surface.edit_pending, surface.last_edit) = (false, 0);
             }
         } else if let Some(surface) = self.surface_mut(number) {
             surface.view = edited;

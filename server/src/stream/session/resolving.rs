@@ -174,7 +174,7 @@ impl<B: Backend> Session<B> {
         let Some(opened) = &mut self.opened else { return };
         opened.set_view(surface, view, budget_edit);
         if let Some(session) = opened.surface_mut(surface) {
-            session.edited = edit;
+            session.last_edit = edit;
             (session.pending, session.failed, session.key) = (None, None, None);
         }
         self.change(surface);
@@ -196,7 +196,7 @@ impl<B: Backend> Session<B> {
         let job = match (opened.next_pending(), &opened.stepping) {
             (Some((surface, pending)), _) => resolve_view(self.backend.clone(), surface, pending.clone()),
             (None, Some(stepping)) => {
-                let edited = opened.surfaces().filter(|(_, surface)| surface.edited > 0);
+                let edited = opened.surfaces().filter(|(_, surface)| surface.last_edit > 0);
                 let views = edited.map(|(number, surface)| (number, surface.view.clone())).collect();
                 resolve_step(self.backend.clone(), stepping.volume.clone(), views)
             }

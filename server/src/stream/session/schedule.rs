@@ -29,7 +29,7 @@ pub(super) enum NextJob {
 impl OpenVolume {
     /// Returns the next job and its surface. `jobs`: number of jobs that the connection has had.
     pub(super) fn next_job(&self, jobs: u64, pace: &Pace) -> Option<(u8, NextJob)> {
-        let last_edited = self.surfaces().max_by_key(|(_, surface)| surface.edited)?.0;
+        let last_edited = self.surfaces().max_by_key(|(_, surface)| surface.last_edit)?.0;
         let steps: Vec<_> = self
             .surfaces()
             .filter_map(|(number, surface)| {
@@ -78,7 +78,7 @@ impl OpenVolume {
     /// because it would take processors from the pool.
     fn encodes_first_step(&self) -> bool {
         let is_encoding = |generation: &Generation| {
-            !generation.committed && matches!(generation.sending, Sending::Comparing(_) | Sending::Encoding { .. })
+            !generation.has_committed && matches!(generation.sending, Sending::Comparing(_) | Sending::Encoding { .. })
         };
         self.shares_processors
             && self
@@ -100,7 +100,7 @@ impl OpenVolume {
         let next = due.min_by_key(|(number, _, work)| {
             (
                 *work,
-                Reverse(self.surface(*number).map_or(0, |surface| surface.edited)),
+                Reverse(self.surface(*number).map_or(0, |surface| surface.last_edit)),
             )
         });
         next.map(|(number, _, work)| (number, NextJob::Rest(work)))

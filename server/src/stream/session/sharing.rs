@@ -160,7 +160,7 @@ impl OpenVolume {
 
     /// Returns the failed surfaces that are retried although their parts are unchanged, because the client may no longer keep their
     /// regions or because the budget to suggest has changed.
-    pub(super) fn outdated(&self) -> Vec<u8> {
+    pub(super) fn failed_to_retry(&self) -> Vec<u8> {
         let all = self.shared_triangles();
         let is_outdated = |number: u8, surface: &SurfaceSession| {
             let failed = surface.failed.filter(|_| surface.shares() && !surface.is_busy());
@@ -197,7 +197,7 @@ impl OpenVolume {
     }
 
     /// Returns the surfaces that failed before they were counted, and are to be counted now because others share the budget.
-    pub(super) fn lacking(&mut self) -> Vec<u8> {
+    pub(super) fn uncounted_to_retry(&mut self) -> Vec<u8> {
         if !self.surfaces().any(|(_, surface)| surface.shares()) {
             return Vec::new();
         }

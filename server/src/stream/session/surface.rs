@@ -27,7 +27,7 @@ pub(super) struct SurfaceSession {
     /// Whether the view in force or the surface's part of the budget has changed since the last generation began.
     pub edit_pending: bool,
     /// Number, among the connection's edits, of the last edit of this surface that came into force.
-    pub edited: u64,
+    pub last_edit: u64,
     pub phase: Phase,
     /// Regions that the client holds.
     pub held: Arc<HeldRegions>,
@@ -77,7 +77,7 @@ impl SurfaceSession {
             pending: None,
             proven: None,
             edit_pending: false,
-            edited: 0,
+            last_edit: 0,
             phase: Phase::Idle,
             held: Arc::default(),
             held_triangles: 0,
@@ -153,7 +153,7 @@ impl SurfaceSession {
     pub(super) fn switch_step(&mut self) {
         self.holds_another_step |= !self.held.is_empty();
         (self.shown, self.shown_generation, self.full, self.key) = (None, 0, None, None);
-        self.edit_pending = self.edited > 0;
+        self.edit_pending = self.last_edit > 0;
     }
 
     /// Ends the work for this surface, and returns the generation if there was one. Dropping a generation or a [`Rest`] cancels its token;
@@ -179,7 +179,7 @@ impl SurfaceSession {
 
     /// Whether the surface was added by an edit that has not come into force yet.
     pub(super) fn is_new(&self) -> bool {
-        self.edited == 0 && !self.is_opening
+        self.last_edit == 0 && !self.is_opening
     }
 
     /// Whether the surface still has a generation to finish, or an edit that has not come into force.

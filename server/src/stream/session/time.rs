@@ -119,7 +119,7 @@ impl<B: Backend> Session<B> {
             opened.expected = expected(opened.volume.step(), step, volume.dataset().steps);
             opened.step_to(volume, guard);
             for (_, surface) in opened.surfaces_mut() {
-                surface.edit_pending &= cancelled_after.is_none_or(|edits| surface.edited > edits);
+                surface.edit_pending &= cancelled_after.is_none_or(|edits| surface.last_edit > edits);
             }
         }
         if let Some(opened) = &mut self.opened {

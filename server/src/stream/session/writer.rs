@@ -63,7 +63,7 @@ impl<B: Backend> Session<B> {
         session.shown = Some(generation.surface_after(sent.cut));
         session.shown_generation = generation.number;
         session.holds_another_step = false;
-        generation.committed = true;
+        generation.has_committed = true;
         generation.can_improve = sent.can_improve;
         let is_superseded = generation.is_overtaken && !sent.is_final;
         let has_failed = generation.failure.is_some();
