@@ -21,8 +21,8 @@ impl Workspace {
         }
     }
 
-    /// Runs the next slice of a histogram of a resident field, or of a feature derived from it. Returns the histogram, which is then
-    /// cached, if it is complete.
+    /// Runs the next slice of the work on a histogram of a resident field, or of a feature derived from the field. If the histogram is
+    /// complete then, caches and returns it.
     ///
     /// # Errors
     /// [`JobError::NotResident`], and the device's errors.

@@ -39,7 +39,7 @@ pub enum Question {
     Distribution(u32),
     /// How does the error depend on the number of triangles?
     Curve,
-    /// How far is each vertex from the isosurface, or what is around it?
+    /// How far from the isosurface is each vertex, or the farthest point of the mesh around each vertex?
     VertexErrors(DistanceOf),
 }
 

@@ -84,7 +84,7 @@ impl<K: Eq + Hash, V> Lru<K, V> {
         self.add(key, cost, value);
     }
 
-    /// As [`Lru::insert`], but evicts nothing: the caller did so with [`Lru::evict_for`].
+    /// As [`Lru::insert`], but evicts nothing. The caller makes space with [`Lru::evict_for`] first.
     pub fn add(&mut self, key: K, cost: u64, value: V) {
         self.entries.retain(|entry| entry.0 != key);
         self.entries.push((key, cost, value));

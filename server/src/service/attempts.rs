@@ -140,7 +140,7 @@ impl DeviceWorker {
                 Ok(())
             };
             tokio::select! {
-                made = make => made,
+                outcome = make => outcome,
                 () = token.cancelled() => Err(WorkError::Cancelled),
             }
         })

@@ -29,7 +29,7 @@ enum Purpose {
 
 impl DeviceWorker {
     /// Makes a field resident. Loads are single-flight: callers of the same field wait for one load. If all callers leave, the load is
-    /// cancelled after two seconds.
+    /// cancelled, as [`FieldLoad::wait`] says.
     pub(super) async fn load(&self, volume: &VolumeStep, key: VolumeKey) -> Result<(), WorkError> {
         let load = self.shared.loads.get_or_insert(&key);
         let _waiting = load.wait();
@@ -162,7 +162,7 @@ impl DeviceWorker {
     }
 
     /// Computes a field on the device from other fields, which are loaded if they are not resident. The waiting callers have pinned these
-    /// fields. If all callers leave, `token` is cancelled after two seconds. Returns false if the host has to mask the field.
+    /// fields. `token` is cancelled with the load. Returns false if the host has to mask the field.
     fn compute<'a>(
         &'a self,
         volume: &'a VolumeStep,

@@ -328,9 +328,9 @@ impl DeviceWorker {
     {
         let try_now = async || {
             let memory = HostMemory::now();
-            let made = make(self.ceiling.min(memory.triangles())).await;
+            let outcome = make(self.ceiling.min(memory.triangles())).await;
             // If the triangles exceed the host's memory but not the limit of the handle, the error is `HostBusy`.
-            made.map_err(|error| memory.explain(error, self.ceiling))
+            outcome.map_err(|error| memory.explain(error, self.ceiling))
         };
         match try_now().await {
             Err(WorkError::HostBusy { needed_bytes }) => {

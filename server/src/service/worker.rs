@@ -48,7 +48,8 @@ const END_POLL_INTERVAL: Duration = Duration::from_millis(5);
 /// variables.
 const STACK_BYTES: usize = 16 << 20;
 
-/// Handle to the thread that owns the device. Clones are cheap; the last one ends the thread and waits for it.
+/// Handle to the thread that owns the device. Clones are cheap. Dropping the last one ends the thread, and waits for its
+/// end.
 #[derive(Clone)]
 pub struct DeviceWorker {
     pub(super) shared: Arc<Shared>,

@@ -102,8 +102,8 @@ pub(super) async fn compare(
 }
 
 fn differences(step: Arc<SharedStep>, held: &HeldRegions, coding: Coding) -> Changes {
-    let made: FxHashSet<[u32; 3]> = step.regions.iter().map(|region| region.coords).collect();
-    let remade = step.made.surface.remade.as_ref();
+    let with_mesh: FxHashSet<[u32; 3]> = step.regions.iter().map(|region| region.coords).collect();
+    let remade = step.refinement.surface.remade.as_ref();
     let mut gone: Vec<[u32; 3]> = match remade {
         Some(remade) => remade
             .iter()
@@ -112,7 +112,7 @@ fn differences(step: Arc<SharedStep>, held: &HeldRegions, coding: Coding) -> Cha
             .collect(),
         None => held.keys().copied().collect(),
     };
-    gone.retain(|coords| !made.contains(coords));
+    gone.retain(|coords| !with_mesh.contains(coords));
     gone.sort_unstable();
     let mut after = if remade.is_some() {
         held.clone()

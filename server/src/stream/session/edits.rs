@@ -44,7 +44,8 @@ impl<B: Backend> Session<B> {
         self.send_error("forbidden", message, true);
     }
 
-    /// Marks a surface as changed. Its generation ends at once if a step of it was committed, else after its first commit.
+    /// Marks a surface as changed. The surface's generation ends at once if one of its steps was committed, else after its first
+    /// commit.
     pub(super) fn change(&mut self, surface: u8) {
         let opened = self.opened.as_mut();
         let Some(session) = opened.and_then(|opened| opened.surface_mut(surface)) else {
@@ -154,7 +155,7 @@ impl<B: Backend> Session<B> {
         }
     }
 
-    /// Ends the work for a surface. If it has a generation, only `superseded` is still sent for it.
+    /// Ends the work for a surface. If the surface has a generation, only `superseded` is still sent for that generation.
     pub(super) fn end_generation(&mut self, surface: u8) {
         let opened = self.opened.as_mut();
         let Some(session) = opened.and_then(|opened| opened.surface_mut(surface)) else {

@@ -32,7 +32,7 @@ use crate::wire::messages::ServerMessage;
 pub(super) struct Generation {
     /// Number of the generation's surface.
     pub surface: u8,
-    /// Unique in a connection, whatever the surface.
+    /// Number of the generation, unique among those of all surfaces of a connection.
     pub number: u32,
     /// The resolved view. Its budget is the surface's part of the connection's budget.
     pub view: View,
@@ -199,14 +199,16 @@ impl Generation {
 
     /// Records that the device has made a step.
     pub(super) fn record_step(&mut self, offered: Offered) {
-        let made = &offered.step.made;
-        self.add_times(made.wall, &made.surface.statistics.stages);
-        self.shown = self.surface_after(made.cut).shown_for(self.key.surface(), &self.view);
-        self.target = made.target;
+        let refinement = &offered.step.refinement;
+        self.add_times(refinement.wall, &refinement.surface.statistics.stages);
+        self.shown = self
+            .surface_after(refinement.cut)
+            .shown_for(self.key.surface(), &self.view);
+        self.target = refinement.target;
         self.steps_made += 1;
-        self.made_triangles = made.surface.statistics.triangles;
+        self.made_triangles = refinement.surface.statistics.triangles;
         // Keep the threshold that was fitted to the budget, so that the next steps need not search for it again.
-        self.view.fitted = made.view.fitted;
+        self.view.fitted = refinement.view.fitted;
         self.making = Making::Made(offered);
     }
 
@@ -256,7 +258,7 @@ impl Generation {
     pub(super) fn take_made_step(&mut self) -> Option<Offered> {
         match std::mem::replace(&mut self.making, Making::Waiting) {
             Making::Made(offered) => {
-                if offered.step.made.is_final {
+                if offered.step.refinement.is_final {
                     self.making = Making::Finished;
                 }
                 Some(offered)
@@ -271,25 +273,25 @@ impl Generation {
     /// Returns the properties of a step that are needed while it is sent. `smallest_length`: the smallest edge of
     /// the volume's cells, in world units.
     pub(super) fn step_being_sent(&self, offered: &Offered, smallest_length: f64, device: &str) -> StepBeingSent {
-        let made = &offered.step.made;
-        let statistics = made.is_final.then(|| {
+        let refinement = &offered.step.refinement;
+        let statistics = refinement.is_final.then(|| {
             let kernels = SurfaceStatistics {
                 stages: self.stages.clone(),
-                ..made.surface.statistics.clone()
+                ..refinement.surface.statistics.clone()
             };
-            ExtractionStatistics::new(&kernels, &made.view, smallest_length, self.wall, device)
+            ExtractionStatistics::new(&kernels, &refinement.view, smallest_length, self.wall, device)
         });
         let triangles = offered.step.regions.iter().map(|region| region.triangles as u64);
         let own_step = offered.is_own.then(|| OwnStep {
             triangles: triangles.sum(),
-            time: made.meshing,
+            time: refinement.meshing,
         });
         StepBeingSent {
-            id: PrefixId::cut(self.surface, self.number, made.surface.prefix.get()),
-            cut: made.cut,
-            is_final: made.is_final,
-            can_improve: made.can_improve,
-            surface_triangles: made.surface.statistics.triangles,
+            id: PrefixId::cut(self.surface, self.number, refinement.surface.prefix.get()),
+            cut: refinement.cut,
+            is_final: refinement.is_final,
+            can_improve: refinement.can_improve,
+            surface_triangles: refinement.surface.statistics.triangles,
             own_step,
             began: Instant::now(),
             bytes: 0,

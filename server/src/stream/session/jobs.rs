@@ -144,11 +144,11 @@ impl<B: Backend> Session<B> {
                 let Phase::Working(generation) = &mut session.phase else {
                     return;
                 };
-                let made = &offered.step.made;
-                if acknowledges && !made.is_final && !generation.has_committed {
+                let refinement = &offered.step.refinement;
+                if acknowledges && !refinement.is_final && !generation.has_committed {
                     generation.draw_pause.begin();
                 }
-                let statistics = &made.surface.statistics;
+                let statistics = &refinement.surface.statistics;
                 let removed = statistics.removed.map_or(0, |removed| removed.full_triangles);
                 session.full = Some((generation.key.surface().clone(), statistics.full_triangles + removed));
                 generation.record_step(offered);
@@ -364,18 +364,18 @@ impl<B: Backend> Session<B> {
         let Phase::Working(generation) = &mut session.phase else {
             return;
         };
-        let Some(made) = generation.take_made_step() else {
+        let Some(offered) = generation.take_made_step() else {
             return;
         };
-        let coding = if made.step.made.is_final {
+        let coding = if offered.step.refinement.is_final {
             final_coding
         } else {
             coarse_coding
         };
-        generation.sending = Sending::Comparing(generation.step_being_sent(&made, smallest, &device));
+        generation.sending = Sending::Comparing(generation.step_being_sent(&offered, smallest, &device));
         let (held, token) = (Arc::clone(&session.held), generation.token.clone());
         self.pool.push_back(Box::pin(async move {
-            PoolDone::Compared(compare(made.step, held, coding, token).await)
+            PoolDone::Compared(compare(offered.step, held, coding, token).await)
         }));
     }
 

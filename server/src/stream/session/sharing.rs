@@ -214,7 +214,7 @@ impl OpenVolume {
         let Some((surface, generation)) = surface.and_then(|surface| Some((surface, surface.generation()?))) else {
             return Verdict::Send;
         };
-        let is_final = matches!(&generation.making, Making::Made(made) if made.step.made.is_final);
+        let is_final = matches!(&generation.making, Making::Made(offered) if offered.step.refinement.is_final);
         let made_with = generation.view.budget;
         let is_superseded = is_final && surface.shares() && surface.edit_pending;
         // Other surfaces may have got this surface's former part meanwhile, so the step is dropped. If there is only one surface, the step

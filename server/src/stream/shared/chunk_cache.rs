@@ -30,7 +30,7 @@ struct Entries {
 
 /// A cached step without its meshes and chunks.
 struct CachedStep {
-    made: Refinement,
+    refinement: Refinement,
     volume: Arc<DatasetKey>,
     regions: Vec<RegionMetadata>,
     /// The complete step, while a session still holds it.
@@ -70,7 +70,7 @@ impl ChunkCache {
         };
         let regions = entry.regions.iter().map(with_chunk).collect::<Option<_>>()?;
         let step = Arc::new(SharedStep::from_cache(
-            entry.made.clone(),
+            entry.refinement.clone(),
             Arc::clone(&entry.volume),
             regions,
         ));
@@ -79,10 +79,10 @@ impl ChunkCache {
     }
 
     pub(super) fn insert_step(&self, key: RequestKey, step: &Arc<SharedStep>) {
-        let (made, volume, regions) = step.metadata();
+        let (refinement, volume, regions) = step.metadata();
         let bytes = key.bytes() + size_of::<CachedStep>() + regions.len() * size_of::<RegionMetadata>();
         let cached = CachedStep {
-            made,
+            refinement,
             volume,
             regions,
             shared: Arc::downgrade(step),

@@ -157,21 +157,21 @@ impl Shared {
             let (request, own_key) = (request.clone(), key.clone());
             let cache = self.chunk_cache();
             let make = |token: CancellationToken| async move {
-                let made = request.refine(&cache, step, &token).await?;
-                let made = SharedStep::new(made, &request.volume, token).await?;
-                cache.insert_step(own_key, &made);
-                Ok(made)
+                let refinement = request.refine(&cache, step, &token).await?;
+                let shared_step = SharedStep::new(refinement, &request.volume, token).await?;
+                cache.insert_step(own_key, &shared_step);
+                Ok(shared_step)
             };
             // If the steps of other viewers did not suit, a step is made for this viewer alone, and other requests do not join the job.
-            let (made, was_joined) = match joined {
+            let (outcome, was_joined) = match joined {
                 ..MAX_JOINED => self.0.steps.join_or_start(&key, token, make).await,
                 MAX_JOINED.. => (make(token.clone()).await, false),
             };
-            let made = made?;
-            if !was_joined || made.suits(step) {
+            let shared_step = outcome?;
+            if !was_joined || shared_step.suits(step) {
                 metrics::found_step(if was_joined { "joined" } else { "miss" });
                 return Ok(Offered {
-                    step: made,
+                    step: shared_step,
                     is_own: !was_joined,
                 });
             }
@@ -192,18 +192,18 @@ impl Shared {
         }
         let (own_key, cache) = (key.clone(), self.chunk_cache());
         let make = |token: CancellationToken| async move {
-            let made = request.backend.improve(&request.volume, &request.view, &token).await;
-            let Some(made) = made.map_err(Arc::new)? else {
+            let improved = request.backend.improve(&request.volume, &request.view, &token).await;
+            let Some(refinement) = improved.map_err(Arc::new)? else {
                 return Ok(None);
             };
-            let made = SharedStep::new(made, &request.volume, token).await?;
-            cache.insert_step(own_key, &made);
-            Ok(Some(made))
+            let shared_step = SharedStep::new(refinement, &request.volume, token).await?;
+            cache.insert_step(own_key, &shared_step);
+            Ok(Some(shared_step))
         };
-        let (made, was_joined) = self.0.improved.join_or_start(&key, token, make).await;
+        let (outcome, was_joined) = self.0.improved.join_or_start(&key, token, make).await;
         metrics::found_step(if was_joined { "joined" } else { "miss" });
         let is_own = !was_joined;
-        Ok(made?.map(|step| Offered { step, is_own }))
+        Ok(outcome?.map(|step| Offered { step, is_own }))
     }
 
     /// Measures how far the final surface of a view is from the undecimated one; `None` as in [`Backend::measure`].
@@ -242,10 +242,10 @@ impl<B: Backend> SurfaceRequest<B> {
     /// Makes a step. If the host has too little memory for the step, evicts the cache and retries once.
     async fn refine(&self, cache: &ChunkCache, step: Step, token: &CancellationToken) -> Outcome<Refinement> {
         let make = || self.backend.refine(&self.volume, &self.view, step, token);
-        let made = match make().await {
+        let outcome = match make().await {
             Err(WorkError::HostBusy { .. }) if cache.clear() => make().await,
-            made => made,
+            outcome => outcome,
         };
-        made.map_err(Arc::new)
+        outcome.map_err(Arc::new)
     }
 }

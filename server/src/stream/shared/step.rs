@@ -37,7 +37,7 @@ const BYTES_OF_100_TRIANGLES: u64 = 450;
 #[derive(Debug)]
 pub(in crate::stream) struct SharedStep {
     /// The result of the step, without its regions.
-    pub made: Refinement,
+    pub refinement: Refinement,
     /// The regions that have triangles.
     pub regions: Vec<SharedRegion>,
     /// Key of the volume. It is part of the cache key of a chunk, because another volume may have a mesh with the same hash.
@@ -81,11 +81,15 @@ pub(in crate::stream) trait Chunks {
 
 impl SharedStep {
     /// Creates a step from the result of the device. A region without triangles counts as absent.
-    pub(super) async fn new(made: Refinement, volume: &VolumeStep, token: CancellationToken) -> Outcome<Arc<Self>> {
+    pub(super) async fn new(
+        refinement: Refinement,
+        volume: &VolumeStep,
+        token: CancellationToken,
+    ) -> Outcome<Arc<Self>> {
         let volume = Arc::new(volume.dataset().key());
         let hashing = pool::run(move || {
-            let mut made = made;
-            let regions = std::mem::take(&mut made.surface.regions);
+            let mut refinement = refinement;
+            let regions = std::mem::take(&mut refinement.surface.regions);
             let hash_region = |mesh: Region| match token.is_cancelled() {
                 true => Err(WorkError::Cancelled),
                 false => Ok(SharedRegion::new(mesh)),
@@ -95,7 +99,11 @@ impl SharedStep {
                 .filter(|region| !region.indices.is_empty())
                 .map(hash_region)
                 .collect::<Result<_, _>>()?;
-            Ok(Self { made, regions, volume })
+            Ok(Self {
+                refinement,
+                regions,
+                volume,
+            })
         });
         let step = hashing.await.map_err(|_| WorkError::Stopped).and_then(|step| step);
         step.map(Arc::new).map_err(Arc::new)
@@ -111,7 +119,7 @@ impl SharedStep {
         let line_bytes = step
             .bytes
             .min(step.triangles.saturating_mul(BYTES_OF_100_TRIANGLES) / 100);
-        self.made.is_final || step.shown == Shown::Another || bytes >= line_bytes / MIN_LINE_DIVISOR
+        self.refinement.is_final || step.shown == Shown::Another || bytes >= line_bytes / MIN_LINE_DIVISOR
     }
 
     /// Returns the chunk of one of the step's regions; encodes it if it is not cached.
@@ -171,11 +179,15 @@ impl SharedStep {
             hash: region.hash,
             triangles: region.triangles,
         });
-        (self.made.clone(), Arc::clone(&self.volume), metadata.collect())
+        (self.refinement.clone(), Arc::clone(&self.volume), metadata.collect())
     }
 
     /// Restores a step from its [`Self::metadata`], with the chunks of its regions in the same order.
-    pub(super) fn from_cache(made: Refinement, volume: Arc<DatasetKey>, regions: Vec<(RegionMetadata, Bytes)>) -> Self {
+    pub(super) fn from_cache(
+        refinement: Refinement,
+        volume: Arc<DatasetKey>,
+        regions: Vec<(RegionMetadata, Bytes)>,
+    ) -> Self {
         let cached = |(region, chunk): (RegionMetadata, Bytes)| SharedRegion {
             coords: region.coords,
             hash: region.hash,
@@ -185,7 +197,7 @@ impl SharedStep {
             predictive: OnceLock::new(),
         };
         Self {
-            made,
+            refinement,
             regions: regions.into_iter().map(cached).collect(),
             volume,
         }
