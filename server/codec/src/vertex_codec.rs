@@ -162,8 +162,8 @@ impl Words {
         let vertices = block.len();
         let padded = vertices.next_multiple_of(GROUP);
         let last = [&block[vertices - 1]; GROUP];
-        let all = std::iter::once(before).chain(block).chain(last).take(1 + padded);
-        for (i, vertex) in all.enumerate() {
+        let vertices_with_padding = std::iter::once(before).chain(block).chain(last).take(1 + padded);
+        for (i, vertex) in vertices_with_padding.enumerate() {
             let words: [u16; WORDS] = bytemuck::cast(*vertex);
             for (row, word) in rows.iter_mut().zip(words) {
                 row[i] = word;

@@ -141,7 +141,7 @@ pub(crate) fn values_inside(mask: &Mask, labels: &Field) -> ValueSet {
 /// Returns `keys` with the keys of all inputs from which the device makes these fields. Each key occurs once, and inputs come before the
 /// fields that are made from them.
 pub fn with_inputs(volume: &VolumeStep, keys: &[VolumeKey], masking: Masking) -> Vec<VolumeKey> {
-    let mut all: Vec<VolumeKey> = Vec::new();
+    let mut ordered: Vec<VolumeKey> = Vec::new();
     for key in keys {
         let inputs = match key.recipe(volume) {
             Some((Recipe::Mask(..), _)) if masking == Masking::OnHost => Vec::new(),
@@ -149,12 +149,12 @@ pub fn with_inputs(volume: &VolumeStep, keys: &[VolumeKey], masking: Masking) ->
             None => Vec::new(),
         };
         for key in inputs.into_iter().chain([key.clone()]) {
-            if !all.contains(&key) {
-                all.push(key);
+            if !ordered.contains(&key) {
+                ordered.push(key);
             }
         }
     }
-    all
+    ordered
 }
 
 /// Returns the keys of the fields of which a feature is made, each once.

@@ -180,11 +180,11 @@ impl ExtractionStatistics {
 
     /// Returns the statistics of the surface alone, without the costs of making it, as a JSON object.
     pub fn of_surface(&self) -> serde_json::Value {
-        let mut all = serde_json::to_value(self).unwrap_or_default();
-        if let Some(names) = all.as_object_mut() {
-            names.retain(|name, _| !Self::COSTS.contains(&name.as_str()));
+        let mut json = serde_json::to_value(self).unwrap_or_default();
+        if let Some(object) = json.as_object_mut() {
+            object.retain(|name, _| !Self::COSTS.contains(&name.as_str()));
         }
-        all
+        json
     }
 
     /// Merges the statistics of the surfaces in one file.
@@ -193,10 +193,10 @@ impl ExtractionStatistics {
     /// - Guards that gave way and notices are those of any surface.
     /// - `is_tree_cut` is true only if all surfaces are tree cuts. Several surfaces have no estimated error.
     /// - All other values are those of the first surface.
-    pub fn of_several(all: Vec<Self>) -> Self {
-        let mut all = all.into_iter();
-        let mut sum = all.next().unwrap_or_default();
-        for next in all {
+    pub fn of_several(surfaces: Vec<Self>) -> Self {
+        let mut surfaces = surfaces.into_iter();
+        let mut sum = surfaces.next().unwrap_or_default();
+        for next in surfaces {
             sum.add(next);
         }
         sum

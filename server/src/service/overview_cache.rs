@@ -65,9 +65,9 @@ impl Overviews {
         samples: [u32; 3],
         admit: impl FnOnce() -> Result<P, E>,
     ) -> Result<Arc<UnfinishedOverview>, E> {
-        let mut all = lock(&self.unfinished);
-        all.retain(|_, unfinished| unfinished.strong_count() > 0);
-        if let Some(unfinished) = all.get(key).and_then(Weak::upgrade) {
+        let mut by_key = lock(&self.unfinished);
+        by_key.retain(|_, unfinished| unfinished.strong_count() > 0);
+        if let Some(unfinished) = by_key.get(key).and_then(Weak::upgrade) {
             return Ok(unfinished);
         }
         let unfinished = Arc::new(UnfinishedOverview {
@@ -75,7 +75,7 @@ impl Overviews {
             work: Mutex::new(OverviewWork::new(samples, key.mode, OVERVIEW_SIDE)),
             running: tokio::sync::Mutex::default(),
         });
-        all.insert(key.clone(), Arc::downgrade(&unfinished));
+        by_key.insert(key.clone(), Arc::downgrade(&unfinished));
         Ok(unfinished)
     }
 }

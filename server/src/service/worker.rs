@@ -290,10 +290,10 @@ impl DeviceWorker {
         let resident = self.run(Caller::Viewer, FindResident { keys }, &never_cancelled);
         let fields = volume.dataset().fields.iter().zip(resident.await?);
         let histograms = &self.shared.histograms;
-        let work = fields
+        let field_work = fields
             .map(|(field, is_resident)| FieldWork::new(volume, view, field, is_resident, histograms))
             .collect();
-        let watch = Arc::new(OpeningWatch::new(work));
+        let watch = Arc::new(OpeningWatch::new(field_work));
         let worker = Self {
             watch: Some(Arc::clone(&watch)),
             ..self.clone()

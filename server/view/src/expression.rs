@@ -60,8 +60,8 @@ impl FieldExpression {
     /// # Errors
     /// As [`Self::parse`].
     pub fn parse_by(text: &str, fields: &[&str], field: &'static str, rank: RankOf<'_>) -> Result<Self, EditError> {
-        Self::compile(text, fields, rank).map_err(|(at, why)| {
-            let character = text.get(..at).unwrap_or(text).chars().count() + 1;
+        Self::compile(text, fields, rank).map_err(|(offset, why)| {
+            let character = text.get(..offset).unwrap_or(text).chars().count() + 1;
             EditError {
                 field,
                 why: format!("{text:?}, character {character}: {why}"),
@@ -118,7 +118,7 @@ impl FieldExpression {
         let smoothed = condition::parse_smooth(text)?;
         let distance = condition::parse_distance(text)?;
         match smoothed.map(|(_, condition)| condition).or(distance) {
-            Some((at, condition)) => program.indicator(at, condition)?,
+            Some((offset, condition)) => program.indicator(offset, condition)?,
             None => {
                 program.number(&syntax::parse(text)?)?;
             }
@@ -150,27 +150,27 @@ enum Dimension<'a> {
 impl<'a> Dimension<'a> {
     /// Returns the dimension of an operation. `earlier`: the dimensions of the operations before it.
     fn of(op: Op, units: &[Option<&'a str>], earlier: &[Self]) -> Self {
-        let at = |node: u8| earlier[usize::from(node)];
+        let dimension_of = |node: u8| earlier[usize::from(node)];
         match op {
             Op::Number(_) | Op::Compare(..) | Op::And(..) | Op::Or(..) | Op::Not(_) => Self::Number,
             Op::Field(index) => {
                 let unit = units.get(usize::from(index)).copied().flatten();
                 unit.map_or(Self::Unknown, |unit| Self::Power(unit, 1))
             }
-            Op::Unary(Unary::Negate | Unary::Abs | Unary::Floor | Unary::Ceil, x) => at(x),
-            Op::Unary(Unary::Sqrt, x) => match at(x) {
+            Op::Unary(Unary::Negate | Unary::Abs | Unary::Floor | Unary::Ceil, x) => dimension_of(x),
+            Op::Unary(Unary::Sqrt, x) => match dimension_of(x) {
                 Self::Power(unit, power) if power % 2 == 0 => Self::Power(unit, power / 2),
                 Self::Number => Self::Number,
                 _ => Self::Unknown,
             },
-            Op::Unary(_, x) => at(x).number_or_unknown(),
-            Op::Binary(Binary::Multiply, x, y) => at(x).times(at(y), 1),
-            Op::Binary(Binary::Divide, x, y) => at(x).times(at(y), -1),
-            Op::Binary(Binary::Power, x, y) => match (at(x), at(y)) {
+            Op::Unary(_, x) => dimension_of(x).number_or_unknown(),
+            Op::Binary(Binary::Multiply, x, y) => dimension_of(x).times(dimension_of(y), 1),
+            Op::Binary(Binary::Divide, x, y) => dimension_of(x).times(dimension_of(y), -1),
+            Op::Binary(Binary::Power, x, y) => match (dimension_of(x), dimension_of(y)) {
                 (Self::Number, Self::Number) => Self::Number,
                 _ => Self::Unknown,
             },
-            Op::Binary(_, x, y) | Op::Select(_, x, y) => at(x).or_other(at(y)),
+            Op::Binary(_, x, y) | Op::Select(_, x, y) => dimension_of(x).or_other(dimension_of(y)),
         }
     }
 
@@ -213,14 +213,14 @@ struct Program<'a> {
 }
 
 impl Program<'_> {
-    /// Adds an operation, and returns its number. `at`: position of the operation in the text.
-    fn add(&mut self, at: usize, op: Op) -> Result<u8, Fault> {
+    /// Adds an operation, and returns its number. `offset`: byte of the text to which the operation belongs.
+    fn add(&mut self, offset: usize, op: Op) -> Result<u8, Fault> {
         if let Some(number) = self.ops.iter().position(|other| *other == op) {
             // Reuses the earlier operation. Later operations refer to it, so the last one is still the value of the expression.
             return Ok(number as u8);
         }
         if self.ops.len() == MAX_NODES {
-            return Err((at, format!("more than {MAX_NODES} operations")));
+            return Err((offset, format!("more than {MAX_NODES} operations")));
         }
         self.ops.push(op);
         Ok(self.ops.len() as u8 - 1)
@@ -236,7 +236,7 @@ impl Program<'_> {
             Kind::Number => "a condition, expected a number",
             Kind::Condition => "a number, expected a condition, such as u > 0",
         };
-        Err((tree.at, why.to_owned()))
+        Err((tree.offset, why.to_owned()))
     }
 
     /// Adds the operations of a tree whose value must be a number.
@@ -246,58 +246,58 @@ impl Program<'_> {
 
     /// Adds the operations of a tree.
     fn node(&mut self, tree: &Tree) -> Result<u8, Fault> {
-        let at = tree.at;
+        let offset = tree.offset;
         let op = match &tree.node_kind {
             NodeKind::Number { value, .. } => Op::Number(*value),
-            NodeKind::Name(name) => return self.field(at, name),
+            NodeKind::Name(name) => return self.field(offset, name),
             NodeKind::Not(inner) => Op::Not(self.of_kind(inner, Kind::Condition)?),
             NodeKind::Negate(inner) => Op::Unary(Unary::Negate, self.number(inner)?),
-            NodeKind::Infix(symbol, left, right) => return self.infix(at, symbol, left, right),
-            NodeKind::Call(name, arguments) => return self.call(at, name, arguments),
+            NodeKind::Infix(symbol, left, right) => return self.infix(offset, symbol, left, right),
+            NodeKind::Call(name, arguments) => return self.call(offset, name, arguments),
         };
-        self.add(at, op)
+        self.add(offset, op)
     }
 
     /// Adds the operation that reads a field.
-    fn field(&mut self, at: usize, name: &str) -> Result<u8, Fault> {
+    fn field(&mut self, offset: usize, name: &str) -> Result<u8, Fault> {
         if !self.field_names.contains(&name) {
             return Err((
-                at,
+                offset,
                 format!("no field {name:?}, expected one of {}", quoted(self.field_names)),
             ));
         }
         let index = match self.fields.iter().position(|field| field == name) {
             Some(index) => index,
-            None if self.fields.len() == MAX_FIELDS => return Err((at, format!("more than {MAX_FIELDS} fields"))),
+            None if self.fields.len() == MAX_FIELDS => return Err((offset, format!("more than {MAX_FIELDS} fields"))),
             None => {
                 self.fields.push(name.to_owned());
                 self.fields.len() - 1
             }
         };
-        self.add(at, Op::Field(index as u8))
+        self.add(offset, Op::Field(index as u8))
     }
 
     /// Adds the operations of an infix operator.
-    fn infix(&mut self, at: usize, symbol: &str, left: &Tree, right: &Tree) -> Result<u8, Fault> {
+    fn infix(&mut self, offset: usize, symbol: &str, left: &Tree, right: &Tree) -> Result<u8, Fault> {
         if let "&&" | "||" = symbol {
             let [x, y] = [
                 self.of_kind(left, Kind::Condition)?,
                 self.of_kind(right, Kind::Condition)?,
             ];
-            return self.add(at, if symbol == "&&" { Op::And(x, y) } else { Op::Or(x, y) });
+            return self.add(offset, if symbol == "&&" { Op::And(x, y) } else { Op::Or(x, y) });
         }
         let comparison = Comparison::ALL.iter().find(|comparison| comparison.name() == symbol);
         if comparison.is_some()
             && let Some((left, right)) = self.ranked(left, right)
         {
-            return self.infix(at, symbol, &left, &right);
+            return self.infix(offset, symbol, &left, &right);
         }
         let [x, y] = [self.number(left)?, self.number(right)?];
         let op = match comparison {
             Some(&comparison) => Op::Compare(comparison, x, y),
             None => Op::Binary(binary(symbol).unwrap_or(Binary::Add), x, y),
         };
-        self.add(at, op)
+        self.add(offset, op)
     }
 
     /// If a number is compared with a field that has ranks, returns both operands with the number's rank in place of the number.
@@ -311,22 +311,22 @@ impl Program<'_> {
                 value: rank.abs(),
                 integer: None,
             };
-            let at = number.at;
+            let offset = number.offset;
             let node_kind = if rank < 0.0 {
-                NodeKind::Negate(Box::new(Tree { at, node_kind }))
+                NodeKind::Negate(Box::new(Tree { offset, node_kind }))
             } else {
                 node_kind
             };
-            Some((field.clone(), Tree { at, node_kind }))
+            Some((field.clone(), Tree { offset, node_kind }))
         };
         ranked(left, right).or_else(|| ranked(right, left).map(|(field, number)| (number, field)))
     }
 
     /// Adds the operations of a function.
-    fn call(&mut self, at: usize, name: &str, arguments: &[Tree]) -> Result<u8, Fault> {
+    fn call(&mut self, offset: usize, name: &str, arguments: &[Tree]) -> Result<u8, Fault> {
         let count = |expected: usize| match arguments.len() {
             n if n == expected => Ok(()),
-            n => Err((at, format!("{n} arguments of {name}, expected {expected}"))),
+            n => Err((offset, format!("{n} arguments of {name}, expected {expected}"))),
         };
         if let Some(&function) = Unary::ALL
             .iter()
@@ -334,56 +334,56 @@ impl Program<'_> {
         {
             count(1)?;
             let x = self.number(&arguments[0])?;
-            return self.add(at, Op::Unary(function, x));
+            return self.add(offset, Op::Unary(function, x));
         }
         if let Some(function) = binary(if name == "pow" { "^" } else { name }) {
             count(2)?;
             let [x, y] = [self.number(&arguments[0])?, self.number(&arguments[1])?];
-            return self.add(at, Op::Binary(function, x, y));
+            return self.add(offset, Op::Binary(function, x, y));
         }
         match name {
             "clamp" => {
                 count(3)?;
                 let [x, low, high] = [0, 1, 2].map(|i| self.number(&arguments[i]));
-                let above = self.add(at, Op::Binary(Binary::Max, x?, low?))?;
-                self.add(at, Op::Binary(Binary::Min, above, high?))
+                let above = self.add(offset, Op::Binary(Binary::Max, x?, low?))?;
+                self.add(offset, Op::Binary(Binary::Min, above, high?))
             }
             "if" => {
                 count(3)?;
                 let condition = self.of_kind(&arguments[0], Kind::Condition)?;
                 let [x, y] = [self.number(&arguments[1])?, self.number(&arguments[2])?];
-                self.add(at, Op::Select(condition, x, y))
+                self.add(offset, Op::Select(condition, x, y))
             }
-            "magnitude" => self.magnitude(at, arguments),
+            "magnitude" => self.magnitude(offset, arguments),
             DISTANCE => Err((
-                at,
+                offset,
                 "distance(CONDITION) inside another expression, expected it alone".to_owned(),
             )),
             SMOOTH => Err((
-                at,
+                offset,
                 "smooth(SAMPLES, CONDITION) inside another expression, expected it alone".to_owned(),
             )),
             _ => {
                 let known = quoted(&FieldExpression::functions());
-                Err((at, format!("no function {name:?}, expected one of {known}")))
+                Err((offset, format!("no function {name:?}, expected one of {known}")))
             }
         }
     }
 
     /// Adds the square root of the sum of squares.
-    fn magnitude(&mut self, at: usize, arguments: &[Tree]) -> Result<u8, Fault> {
+    fn magnitude(&mut self, offset: usize, arguments: &[Tree]) -> Result<u8, Fault> {
         let mut sum = None;
         for argument in arguments {
             let x = self.number(argument)?;
-            let square = self.add(at, Op::Binary(Binary::Multiply, x, x))?;
+            let square = self.add(offset, Op::Binary(Binary::Multiply, x, x))?;
             sum = Some(match sum {
                 None => square,
-                Some(sum) => self.add(at, Op::Binary(Binary::Add, sum, square))?,
+                Some(sum) => self.add(offset, Op::Binary(Binary::Add, sum, square))?,
             });
         }
         match sum {
-            Some(sum) => self.add(at, Op::Unary(Unary::Sqrt, sum)),
-            None => Err((at, "0 arguments of magnitude, expected 1 or more".to_owned())),
+            Some(sum) => self.add(offset, Op::Unary(Unary::Sqrt, sum)),
+            None => Err((offset, "0 arguments of magnitude, expected 1 or more".to_owned())),
         }
     }
 }

@@ -68,35 +68,37 @@ impl Mask {
     /// # Errors
     /// The expected text, and the character at which it is missing.
     pub fn parse(text: &str, fields: &[&str]) -> Result<Self, EditError> {
-        let refuse = |at: usize, why: String| {
-            let character = text[..at].chars().count() + 1;
+        let refuse = |offset: usize, why: String| {
+            let character = text[..offset].chars().count() + 1;
             EditError {
                 field: "mask",
                 why: format!("{text:?}, character {character}: {why}"),
             }
         };
-        let starts = text.char_indices().map(|(at, _)| at);
-        let mut operators = starts.filter_map(|at| {
-            let (symbol, operator) = OPERATORS.iter().find(|(symbol, _)| text[at..].starts_with(symbol))?;
-            Some((at, *symbol, *operator))
+        let starts = text.char_indices().map(|(offset, _)| offset);
+        let mut operators = starts.filter_map(|offset| {
+            let (symbol, operator) = OPERATORS
+                .iter()
+                .find(|(symbol, _)| text[offset..].starts_with(symbol))?;
+            Some((offset, *symbol, *operator))
         });
-        let Some((at, symbol, operator)) = operators.next() else {
+        let Some((symbol_offset, symbol, operator)) = operators.next() else {
             return Err(refuse(
                 text.len(),
                 "expected ==, !=, <, <=, > or >= behind a field's name".into(),
             ));
         };
-        let name = text[..at].trim();
+        let name = text[..symbol_offset].trim();
         // A field of exactly this name takes precedence, as in expressions, which may contain masks.
         let field = if fields.contains(&name) { name } else { unquoted(name) };
         if !fields.contains(&field) {
             let begin = text.len() - text.trim_start().len();
             return Err(refuse(
-                begin.min(at),
+                begin.min(symbol_offset),
                 format!("no field {field:?}, expected one of {}", quoted(fields)),
             ));
         }
-        let (mut ranges, mut integers, mut from) = (Vec::new(), Vec::new(), at + symbol.len());
+        let (mut ranges, mut integers, mut from) = (Vec::new(), Vec::new(), symbol_offset + symbol.len());
         for item in text[from..].split(',') {
             ranges.push(parse_range(item).map_err(|(offset, why)| refuse(from + offset, why))?);
             let (low, high) = item.split_once("..").unwrap_or((item, item));
@@ -106,13 +108,13 @@ impl Mask {
         let is_list = matches!(operator, Operator::Is | Operator::IsNot);
         if !is_list && (ranges.len() > 1 || ranges[0][0] < ranges[0][1]) {
             return Err(refuse(
-                at + symbol.len(),
+                symbol_offset + symbol.len(),
                 format!("expected one number behind {symbol}"),
             ));
         }
         if ranges.len() > MAX_RANGES {
             return Err(refuse(
-                at + symbol.len(),
+                symbol_offset + symbol.len(),
                 format!("{} values, expected at most {MAX_RANGES}", ranges.len()),
             ));
         }
@@ -164,8 +166,8 @@ impl Mask {
 
 /// Parses a number or `LOW..HIGH`. An error has the byte of the text at which it was found.
 fn parse_range(text: &str) -> Result<[f32; 2], (usize, String)> {
-    let number = |part: &str, at: usize| {
-        let offset = at + part.len() - part.trim_start().len();
+    let number = |part: &str, start: usize| {
+        let offset = start + part.len() - part.trim_start().len();
         let value = part.trim().parse::<f32>().ok().filter(|value| value.is_finite());
         value.ok_or_else(|| (offset, format!("expected a finite number, found {:?}", part.trim())))
     };

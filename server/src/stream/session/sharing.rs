@@ -142,18 +142,18 @@ impl OpenVolume {
 
     /// Returns the part of each surface; `None` until all surfaces that share the budget are counted.
     pub(super) fn allotments(&self) -> Option<Allotments> {
-        let all = self.shared_triangles();
-        if self.is_budget_shared() && all.is_none() {
+        let shared_triangles = self.shared_triangles();
+        if self.is_budget_shared() && shared_triangles.is_none() {
             return None;
         }
         let reserved = self.reserved();
         let mut allotments = Allotments::default();
         for (number, surface) in self.surfaces().filter(|(_, surface)| surface.shares()) {
-            let part = |budget: Budget| {
-                let left = budget.without(reserved);
-                all.map_or(left, |all| left.part(surface.full_triangles(), all))
+            let part_of = |budget: Budget| {
+                let available = budget.without(reserved);
+                shared_triangles.map_or(available, |all| available.part(surface.full_triangles(), all))
             };
-            allotments[usize::from(number)] = surface.view.budget.map(part);
+            allotments[usize::from(number)] = surface.view.budget.map(part_of);
         }
         Some(allotments)
     }
@@ -161,10 +161,10 @@ impl OpenVolume {
     /// Returns the failed surfaces that are retried although their parts are unchanged, because the client may no longer keep their
     /// regions or because the budget to suggest has changed.
     pub(super) fn failed_to_retry(&self) -> Vec<u8> {
-        let all = self.shared_triangles();
+        let shared_triangles = self.shared_triangles();
         let is_outdated = |number: u8, surface: &SurfaceSession| {
             let failed = surface.failed.filter(|_| surface.shares() && !surface.is_busy());
-            failed.is_some_and(|failed| failed.shared_triangles != all || !self.may_stay(number))
+            failed.is_some_and(|failed| failed.shared_triangles != shared_triangles || !self.may_stay(number))
         };
         let outdated = self
             .surfaces()

@@ -147,10 +147,10 @@ impl Shared {
         });
         let mut joined = 0;
         loop {
-            if let Some(found) = self.0.cache.find_step(&key).filter(|found| found.suits(step)) {
+            if let Some(cached) = self.0.cache.find_step(&key).filter(|cached| cached.suits(step)) {
                 metrics::found_step("hit");
                 return Ok(Offered {
-                    step: found,
+                    step: cached,
                     is_own: false,
                 });
             }
@@ -213,8 +213,8 @@ impl Shared {
         token: &CancellationToken,
     ) -> Outcome<Option<Arc<Measurement>>> {
         let key = request.key_for(RequestKind::Measure);
-        if let Some(found) = self.0.cache.find_measured(&key) {
-            return Ok(Some(found));
+        if let Some(cached) = self.0.cache.find_measured(&key) {
+            return Ok(Some(cached));
         }
         let (own_key, cache) = (key.clone(), self.chunk_cache());
         let make = |token: CancellationToken| async move {

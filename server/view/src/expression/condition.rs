@@ -55,30 +55,30 @@ fn call_argument<'a>(text: &'a str, function: &str, form: &str) -> Result<Option
 }
 
 impl Program<'_> {
-    /// Adds operations whose result is 0 if a condition does not hold. The condition begins at byte `at` of the text. A condition is a
+    /// Adds operations whose result is 0 if a condition does not hold. The condition begins at byte `offset` of the text. A condition is a
     /// mask or an expression. A numeric expression holds if its value is not 0.
-    pub(super) fn indicator(&mut self, at: usize, condition: &str) -> Result<(), Fault> {
+    pub(super) fn indicator(&mut self, offset: usize, condition: &str) -> Result<(), Fault> {
         let node = match Mask::parse(condition, self.field_names) {
             Ok(mask) => {
                 let ranked = mask.by_ranks(|number| (self.rank)(&mask.field, number));
-                self.mask(at, &ranked)?
+                self.mask(offset, &ranked)?
             }
             Err(_) => {
-                let in_whole_text = |(offset, why): Fault| (at + offset, why);
+                let in_whole_text = |(inner_offset, why): Fault| (offset + inner_offset, why);
                 let tree = syntax::parse(condition).map_err(in_whole_text)?;
                 self.node(&tree).map_err(in_whole_text)?
             }
         };
         if self.ops[usize::from(node)].kind() == Kind::Condition {
-            let [one, zero] = [self.add(at, Op::Number(1.0))?, self.add(at, Op::Number(0.0))?];
-            self.add(at, Op::Select(node, one, zero))?;
+            let [one, zero] = [self.add(offset, Op::Number(1.0))?, self.add(offset, Op::Number(0.0))?];
+            self.add(offset, Op::Select(node, one, zero))?;
         }
         Ok(())
     }
 
     /// Adds operations whose result is the condition of a mask.
-    fn mask(&mut self, at: usize, mask: &Mask) -> Result<u8, Fault> {
-        let value = self.field(at, &mask.field)?;
+    fn mask(&mut self, offset: usize, mask: &Mask) -> Result<u8, Fault> {
+        let value = self.field(offset, &mask.field)?;
         let (operator, ranges) = mask.comparison();
         let comparison = match operator {
             Operator::Is | Operator::IsNot => Comparison::Is,
@@ -89,24 +89,24 @@ impl Program<'_> {
         };
         let mut any_range = None;
         for &[low, high] in ranges {
-            let first = self.add(at, Op::Number(low))?;
+            let first = self.add(offset, Op::Number(low))?;
             let holds = if low < high {
-                let last = self.add(at, Op::Number(high))?;
-                let above = self.add(at, Op::Compare(Comparison::AtLeast, value, first))?;
-                let below = self.add(at, Op::Compare(Comparison::AtMost, value, last))?;
-                self.add(at, Op::And(above, below))?
+                let last = self.add(offset, Op::Number(high))?;
+                let above = self.add(offset, Op::Compare(Comparison::AtLeast, value, first))?;
+                let below = self.add(offset, Op::Compare(Comparison::AtMost, value, last))?;
+                self.add(offset, Op::And(above, below))?
             } else {
-                self.add(at, Op::Compare(comparison, value, first))?
+                self.add(offset, Op::Compare(comparison, value, first))?
             };
             any_range = Some(match any_range {
                 None => holds,
-                Some(others) => self.add(at, Op::Or(others, holds))?,
+                Some(others) => self.add(offset, Op::Or(others, holds))?,
             });
         }
         match any_range {
-            Some(condition) if operator == Operator::IsNot => self.add(at, Op::Not(condition)),
+            Some(condition) if operator == Operator::IsNot => self.add(offset, Op::Not(condition)),
             Some(condition) => Ok(condition),
-            None => Err((at, "a mask without a number".to_owned())),
+            None => Err((offset, "a mask without a number".to_owned())),
         }
     }
 }

@@ -17,7 +17,7 @@ const MAX_DEPTH: usize = 48;
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Tree {
     /// Byte of the text at which the node begins; for an infix operation, the byte of its symbol.
-    pub(super) at: usize,
+    pub(super) offset: usize,
     pub(super) node_kind: NodeKind,
 }
 
@@ -74,7 +74,7 @@ pub(super) fn parse(text: &str) -> Result<Tree, Fault> {
 /// Refuses texts that nest too deeply. Counts text in quotation marks too, because names hardly contain parentheses or signs.
 fn check_depth(text: &str) -> Result<(), Fault> {
     let (mut open, mut signs) = (0usize, 0usize);
-    for (at, c) in text.char_indices() {
+    for (offset, c) in text.char_indices() {
         match c {
             '(' => open += 1,
             ')' => open = open.saturating_sub(1),
@@ -88,7 +88,7 @@ fn check_depth(text: &str) -> Result<(), Fault> {
             _ => {}
         }
         if open + signs > MAX_DEPTH {
-            return Err((at, format!("more than {MAX_DEPTH} parts within each other")));
+            return Err((offset, format!("more than {MAX_DEPTH} parts within each other")));
         }
     }
     Ok(())
@@ -105,14 +105,14 @@ fn symbol<'a>(
 ) -> impl FnMut(&mut Input<'a>) -> Result<(usize, &'static str), ErrMode<ContextError>> {
     move |input| {
         multispace0(input)?;
-        let at = input.current_token_start();
+        let offset = input.current_token_start();
         for &symbol in symbols {
             if input.starts_with(symbol) {
                 let mut rest = symbol.chars();
                 while rest.next().is_some() {
                     any(input)?;
                 }
-                return Ok((at, symbol));
+                return Ok((offset, symbol));
             }
         }
         Err(ErrMode::Backtrack(ContextError::new()))
@@ -128,8 +128,8 @@ fn chain<'a>(
         let first = part(input)?;
         let rest: Vec<((usize, &'static str), Tree)> =
             repeat(0.., (symbol(symbols), cut_err(part))).parse_next(input)?;
-        Ok(rest.into_iter().fold(first, |left, ((at, symbol), right)| Tree {
-            at,
+        Ok(rest.into_iter().fold(first, |left, ((offset, symbol), right)| Tree {
+            offset,
             node_kind: NodeKind::Infix(symbol, Box::new(left), Box::new(right)),
         }))
     }
@@ -151,8 +151,8 @@ fn comparison(input: &mut Input<'_>) -> ModalResult<Tree> {
     let right = opt((symbol(&["<=", ">=", "==", "!=", "<", ">"]), cut_err(sum))).parse_next(input)?;
     Ok(match right {
         None => left,
-        Some(((at, symbol), right)) => Tree {
-            at,
+        Some(((offset, symbol), right)) => Tree {
+            offset,
             node_kind: NodeKind::Infix(symbol, Box::new(left), Box::new(right)),
         },
     })
@@ -168,7 +168,7 @@ fn product(input: &mut Input<'_>) -> ModalResult<Tree> {
 
 /// Parses a power, with signs before it.
 fn sign(input: &mut Input<'_>) -> ModalResult<Tree> {
-    let Some((at, symbol)) = opt(symbol(&["-", "!"])).parse_next(input)? else {
+    let Some((offset, symbol)) = opt(symbol(&["-", "!"])).parse_next(input)? else {
         return power(input);
     };
     let inner = Box::new(cut_err(sign).parse_next(input)?);
@@ -177,7 +177,7 @@ fn sign(input: &mut Input<'_>) -> ModalResult<Tree> {
     } else {
         NodeKind::Not(inner)
     };
-    Ok(Tree { at, node_kind })
+    Ok(Tree { offset, node_kind })
 }
 
 /// Parses a power. Powers are right-associative, and bind more strongly than a sign before them.
@@ -186,8 +186,8 @@ fn power(input: &mut Input<'_>) -> ModalResult<Tree> {
     let exponent = opt((symbol(&["^"]), cut_err(sign))).parse_next(input)?;
     Ok(match exponent {
         None => base,
-        Some(((at, symbol), exponent)) => Tree {
-            at,
+        Some(((offset, symbol), exponent)) => Tree {
+            offset,
             node_kind: NodeKind::Infix(symbol, Box::new(base), Box::new(exponent)),
         },
     })
@@ -196,11 +196,11 @@ fn power(input: &mut Input<'_>) -> ModalResult<Tree> {
 /// Parses a number, a name, a call, or an expression in parentheses.
 fn atom(input: &mut Input<'_>) -> ModalResult<Tree> {
     multispace0(input)?;
-    let at = input.current_token_start();
+    let offset = input.current_token_start();
     let parenthesised = delimited('(', cut_err(disjunction), close).map(|tree| tree.node_kind);
     let nothing = fail.context(expected("a number, a field, a function or ("));
     alt((parenthesised, number, quoted.map(NodeKind::Name), name_or_call, nothing))
-        .map(|node_kind| Tree { at, node_kind })
+        .map(|node_kind| Tree { offset, node_kind })
         .parse_next(input)
 }
 
