@@ -1,5 +1,5 @@
-//! Binary frames of the stream: a region's mesh. Header, checks and decoder; `encode` is the encoder. Normative: `PROTOCOL.md`,
-//! section 4.
+//! Chunks, the binary frames of the stream: header, checks and decoder. A chunk is the mesh of a region, or the errors of its vertices. The
+//! encoder is in `encode`. Normative: `PROTOCOL.md`, section 4.
 
 use bytes::Bytes;
 use isopeel_kernels::REGION_CELLS;
@@ -11,12 +11,12 @@ pub const MAGIC: [u8; 4] = *b"ISOP";
 pub const VERSION: u16 = 2;
 /// Bytes of the header.
 pub const HEADER_BYTES: usize = 96;
-/// Maximum surfaces that the layout can number.
+/// Maximum number of surfaces that the layout can distinguish.
 pub const MAX_SURFACES: u8 = 4;
-/// Lattice units per cell: rounding moves a vertex by 0.005 cells across the surface (rms), a sixth of the distance between the
+/// Lattice units per cell. Rounding moves a vertex by 0.005 cells across the surface (rms). That is a sixth of the distance between the
 /// smoothest mesh and the isosurface.
 pub const LATTICE: u16 = 64;
-/// Value of the header's bytes that have no meaning yet.
+/// Value of the bytes in the header that are reserved.
 const RESERVED: u16 = 0;
 /// Bytes of a vertex before compression.
 pub const VERTEX_BYTES: usize = 12;
@@ -101,16 +101,16 @@ pub struct PrefixId {
     pub generation: u32,
     /// Level of the prefix, 0 to 5.
     pub level: u8,
-    /// Kind of its chunks.
+    /// Kind of the prefix's chunks.
     pub kind: ChunkKind,
 }
 
 /// Header of a chunk.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ChunkHeader {
-    /// Its prefix.
+    /// The prefix that the chunk belongs to.
     pub prefix: PrefixId,
-    /// How its mesh is coded.
+    /// How the mesh is coded.
     pub coding: Coding,
     /// Region, in units of 32 cells.
     pub region: [u32; 3],
@@ -118,22 +118,22 @@ pub struct ChunkHeader {
     pub min: [f32; 3],
     /// Maximum position of the vertices, index space; zeros if there are none.
     pub max: [f32; 3],
-    /// Vertices.
+    /// Number of vertices.
     pub vertex_count: u32,
-    /// Indices, three per triangle.
+    /// Number of indices, three per triangle.
     pub index_count: u32,
     /// Bytes of the vertex payload.
     pub vertex_bytes: u32,
     /// Bytes of the index payload.
     pub index_bytes: u32,
-    /// Triangles of each level, 0 first.
+    /// Number of triangles of each level, 0 first.
     pub level_triangles: [u32; 6],
 }
 
-/// The bytes of a header that state which prefix its chunk belongs to.
+/// The bytes of a header that state the prefix to which the chunk belongs.
 const PREFIX_BYTES: std::ops::Range<usize> = 8..15;
 
-/// Relabels an encoded chunk as one of another prefix. A chunk that belongs to that prefix already is not copied.
+/// Relabels an encoded chunk as a chunk of this prefix. Returns a chunk that belongs to the prefix already without copying its bytes.
 pub fn with_prefix(frame: &Bytes, prefix: PrefixId) -> Bytes {
     let prefix = prefix.to_bytes();
     if frame[PREFIX_BYTES] == prefix {
@@ -155,8 +155,9 @@ impl ChunkError {
     }
 }
 
-fn check(ok: bool, what: &dyn Fn() -> String) -> Result<(), ChunkError> {
-    if ok { Ok(()) } else { Err(ChunkError(what())) }
+/// Returns the error that `describe` gives unless `is_valid`.
+fn check(is_valid: bool, describe: &dyn Fn() -> String) -> Result<(), ChunkError> {
+    if is_valid { Ok(()) } else { Err(ChunkError(describe())) }
 }
 
 impl PrefixId {
@@ -197,45 +198,47 @@ impl ChunkHeader {
     /// Returns the header's bytes.
     pub fn to_bytes(&self) -> [u8; HEADER_BYTES] {
         let mut bytes = [0; HEADER_BYTES];
-        let mut at = 0;
-        let mut put = |field: &[u8]| {
-            bytes[at..at + field.len()].copy_from_slice(field);
-            at += field.len();
+        let mut offset = 0;
+        let mut append = |field: &[u8]| {
+            bytes[offset..offset + field.len()].copy_from_slice(field);
+            offset += field.len();
         };
-        put(&MAGIC);
-        put(&VERSION.to_le_bytes());
-        put(&(HEADER_BYTES as u16).to_le_bytes());
-        put(&self.prefix.to_bytes());
-        put(&[self.coding as u8]);
-        put(&LATTICE.to_le_bytes());
-        put(&RESERVED.to_le_bytes());
-        self.region.iter().for_each(|v| put(&v.to_le_bytes()));
-        self.min.iter().for_each(|v| put(&v.to_le_bytes()));
-        self.max.iter().for_each(|v| put(&v.to_le_bytes()));
-        put(&self.vertex_count.to_le_bytes());
-        put(&self.index_count.to_le_bytes());
-        put(&self.vertex_bytes.to_le_bytes());
-        put(&self.index_bytes.to_le_bytes());
-        self.level_triangles.iter().for_each(|v| put(&v.to_le_bytes()));
+        append(&MAGIC);
+        append(&VERSION.to_le_bytes());
+        append(&(HEADER_BYTES as u16).to_le_bytes());
+        append(&self.prefix.to_bytes());
+        append(&[self.coding as u8]);
+        append(&LATTICE.to_le_bytes());
+        append(&RESERVED.to_le_bytes());
+        self.region.iter().for_each(|v| append(&v.to_le_bytes()));
+        self.min.iter().for_each(|v| append(&v.to_le_bytes()));
+        self.max.iter().for_each(|v| append(&v.to_le_bytes()));
+        append(&self.vertex_count.to_le_bytes());
+        append(&self.index_count.to_le_bytes());
+        append(&self.vertex_bytes.to_le_bytes());
+        append(&self.index_bytes.to_le_bytes());
+        self.level_triangles.iter().for_each(|v| append(&v.to_le_bytes()));
         bytes
     }
 
-    /// Reads and checks the header of a whole frame. Nothing is allocated.
+    /// Reads and checks the header of a whole frame. Allocates nothing, because counts in a frame are not to be trusted.
     ///
     /// # Errors
-    /// The first field that is out of its range.
+    /// The first field that is out of range.
     pub fn parse(frame: &[u8]) -> Result<Self, ChunkError> {
         check(frame.len() >= HEADER_BYTES, &|| {
             format!("{} bytes, expected a header of {HEADER_BYTES} bytes", frame.len())
         })?;
-        let u16_at = |at: usize| u16::from_le_bytes([frame[at], frame[at + 1]]);
-        let u32_at = |at: usize| u32::from_le_bytes([frame[at], frame[at + 1], frame[at + 2], frame[at + 3]]);
-        let f32_at = |at: usize| f32::from_bits(u32_at(at));
+        let u16_at = |offset: usize| u16::from_le_bytes([frame[offset], frame[offset + 1]]);
+        let u32_at = |offset: usize| {
+            u32::from_le_bytes([frame[offset], frame[offset + 1], frame[offset + 2], frame[offset + 3]])
+        };
+        let f32_at = |offset: usize| f32::from_bits(u32_at(offset));
         check(frame[..4] == MAGIC, &|| {
             format!("magic {:?}, expected {MAGIC:?}", &frame[..4])
         })?;
-        let expect_u16 = |at: usize, name: &str, expected: u16| {
-            let found = u16_at(at);
+        let expect_u16 = |offset: usize, name: &str, expected: u16| {
+            let found = u16_at(offset);
             check(found == expected, &|| format!("{name} {found}, expected {expected}"))
         };
         expect_u16(4, "version", VERSION)?;
@@ -299,10 +302,10 @@ impl ChunkHeader {
                 },
             );
         }
-        let empty = vertex_count == 0;
-        let has_indices = !empty && self.coding == Coding::Meshopt;
+        let is_empty = vertex_count == 0;
+        let has_indices = !is_empty && self.coding == Coding::Meshopt;
         check(
-            empty == (vertex_bytes == 0) && has_indices == (index_bytes > 0),
+            is_empty == (vertex_bytes == 0) && has_indices == (index_bytes > 0),
             &|| format!("{vertex_count} vertices in payloads of {vertex_bytes} and {index_bytes} bytes"),
         )?;
         Ok(())
@@ -314,13 +317,13 @@ impl ChunkHeader {
 pub struct DecodedChunk {
     /// The header.
     pub header: ChunkHeader,
-    /// Vertices.
+    /// Vertices, in the order of their indices.
     pub vertices: Vec<WireVertex>,
-    /// Three indices per triangle, ordered by level, finest first; each is below the number of vertices.
+    /// Three indices per triangle, ordered by level, finest first. Each index is below the number of vertices.
     pub indices: Vec<u32>,
 }
 
-/// Reads the distances of a chunk of errors. Safe on any bytes.
+/// Decodes a chunk of errors: the distances of a region's vertices to the isosurface. Safe on any bytes.
 ///
 /// # Errors
 /// The fault of the frame.

@@ -1,4 +1,4 @@
-//! Encodes the device's regions as chunks: hashes, orders, quantises and compresses them. Called on the CPU pool.
+//! Encodes the device's regions as chunks: hashes, orders, quantises and compresses their meshes. Called on the CPU pool.
 
 use std::cell::RefCell;
 
@@ -13,7 +13,7 @@ use super::order::Traversal;
 use super::predictive;
 use super::vertex_codec::VertexWriter;
 
-/// Why a region cannot be encoded; a fault of this program, not of its input.
+/// Why a region cannot be encoded. Such an error is a fault of this program, not of its input.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("region {coords:?}: {why}")]
 pub struct EncodeError {
@@ -23,27 +23,27 @@ pub struct EncodeError {
     pub why: String,
 }
 
-/// Maximum regions of a rayon task, which takes a few tenths of a millisecond. By default rayon gives each thread several times as many,
-/// and all threads then wait for the slowest.
+/// Maximum regions of a rayon task. A task of this size takes a few tenths of a millisecond. By default rayon gives each thread several
+/// times as many regions, and then all threads wait for the slowest one.
 pub const MAX_TASK_REGIONS: usize = 2;
 
 /// Units of the kernels' lattice in one unit of the wire's lattice, a power of two.
 const LATTICE_RATIO: i32 = Vertex::LATTICE / LATTICE as i32;
 const _: () = assert!(LATTICE_RATIO.count_ones() == 1);
 
-/// Random bits, so that zeros in a vertex do not make the product 0.
+/// Random bits that are combined with the hashed values, so that zeros in a vertex do not make the product 0.
 const HASH_KEYS: [u64; 2] = [0xa076_1d64_78bd_642f, 0xe703_7ed1_a0b4_28db];
 
-/// Triangles that are hashed at a time.
+/// Number of triangles that are hashed at a time.
 const HASHED_TRIANGLES: usize = 32;
 
 impl WireVertex {
-    /// Rounds to the wire's lattice. A region begins at a multiple of the lattice's unit, so vertices that are equal in two regions stay
-    /// equal. 16 bits hold 127 cells, beyond which positions are clamped; the kernels guarantee 64.
+    /// Rounds a vertex to the wire's lattice. A region begins at a multiple of the lattice's unit, so vertices that are equal in two
+    /// regions stay equal. Positions are clamped to 16 bits, which hold 511 cells; the kernels guarantee at most 64.
     pub fn quantise(vertex: &Vertex) -> Self {
         // Rounds half up, also below zero. Rounding half away from zero would round equal positions of two regions differently.
-        let position = vertex.position.map(|p| {
-            let unit = (p + LATTICE_RATIO / 2) >> LATTICE_RATIO.trailing_zeros();
+        let position = vertex.position.map(|coordinate| {
+            let unit = (coordinate + LATTICE_RATIO / 2) >> LATTICE_RATIO.trailing_zeros();
             unit.clamp(i32::from(i16::MIN), i32::from(i16::MAX)) as i16
         });
         // n / 32767, rounded, by the first two terms of its series: n / 2¹⁵ + n / 2³⁰.
@@ -67,8 +67,8 @@ impl WireVertex {
     }
 }
 
-/// Rounds to a multiple of 256, the highest to 65535, so that both ends are exact. Eight bits resolve more than the colours of a
-/// transfer function differ, and the codec needs no bytes for a plane that is constant.
+/// Rounds to a multiple of 256. The highest values become 65535, so that both ends of the range are exact. Eight bits are enough, because
+/// the colours of a transfer function differ by less. The low bytes are constant then, and the codec needs no bytes for a constant plane.
 fn leading_byte(value: u16) -> u16 {
     match value.saturating_add(128) & 0xff00 {
         0xff00 if value >= 0xff80 => u16::MAX,
@@ -80,7 +80,7 @@ fn leading_byte(value: u16) -> u16 {
 /// level, and vertices by their first use.
 ///
 /// # Errors
-/// An index past the vertices, more indices or vertices than a chunk may have, or levels that do not add up.
+/// An index is above the last vertex, there are more indices or vertices than a chunk may have, or the levels do not add up.
 pub fn encode(region: &Region, prefix: PrefixId) -> Result<Bytes, EncodeError> {
     check(region)?;
     SCRATCH.with_borrow_mut(|scratch| {
@@ -112,7 +112,7 @@ pub fn encode(region: &Region, prefix: PrefixId) -> Result<Bytes, EncodeError> {
 /// Returns the chunk that removes a region.
 ///
 /// # Errors
-/// As [`encode`]; an empty region has none of them.
+/// As [`encode`], although an empty region causes none of these errors.
 pub fn encode_gone(coords: [u32; 3], prefix: PrefixId) -> Result<Bytes, EncodeError> {
     let region = Region {
         coords,
@@ -121,7 +121,8 @@ pub fn encode_gone(coords: [u32; 3], prefix: PrefixId) -> Result<Bytes, EncodeEr
     encode(&region, prefix)
 }
 
-/// Returns the chunk of the errors of a region's vertices, in the order that the vertices have in the region's chunk of this coding.
+/// Returns the chunk of the errors of a region's vertices. The errors are in the order of the vertices in the region's chunk of this
+/// coding.
 ///
 /// # Errors
 /// As [`encode`], or if there are more or fewer errors than vertices.
@@ -137,9 +138,9 @@ pub fn encode_errors(
             why: format!("{} errors of {} vertices", errors.len(), region.vertices.len()),
         });
     }
-    let reordered = match coding {
+    let predictive_order = match coding {
         Coding::Meshopt => None,
-        Coding::Predictive => Some(predictive_order(region)?),
+        Coding::Predictive => Some(order_of_predictive(region)?),
     };
     SCRATCH.with_borrow_mut(|scratch| {
         scratch.write(region);
@@ -161,16 +162,16 @@ pub fn encode_errors(
         frame.extend_from_slice(&header.to_bytes());
         let order = scratch.indices.order();
         let mut push = |old: u32| frame.extend_from_slice(&errors[old as usize].to_le_bytes());
-        match reordered {
+        match predictive_order {
             None => order.iter().for_each(|&old| push(old)),
-            Some(reordered) => reordered.iter().for_each(|&sent| push(order[sent as usize])),
+            Some(predictive_order) => predictive_order.iter().for_each(|&sent| push(order[sent as usize])),
         }
         Ok(frame.into())
     })
 }
 
 /// Returns, for each vertex of the predictive chunk, its number in the chunk of [`encode`].
-fn predictive_order(region: &Region) -> Result<Vec<u32>, EncodeError> {
+fn order_of_predictive(region: &Region) -> Result<Vec<u32>, EncodeError> {
     let chunk = encode(region, PrefixId::cut(0, 0, 0))?;
     predictive::order(&chunk).map_err(|error| EncodeError {
         coords: region.coords,
@@ -178,6 +179,7 @@ fn predictive_order(region: &Region) -> Result<Vec<u32>, EncodeError> {
     })
 }
 
+/// Checks that the levels add up, and that the indices and the numbers are in range.
 fn check(region: &Region) -> Result<(), EncodeError> {
     let fault = |why: String| EncodeError {
         coords: region.coords,
@@ -197,10 +199,10 @@ fn check(region: &Region) -> Result<(), EncodeError> {
             "{longer} indices or vertices, expected at most {MAX_INDICES}"
         )));
     }
-    // The highest bit is set in an index from 2³¹ on, and in the difference of an index above the last vertex. A fold over all
-    // indices is vectorised, a search that may end early is not.
+    // The highest bit is set in an index of 2³¹ or more, and in the difference between the last vertex and an index above it. A fold over
+    // all indices is vectorised; a search that may end early is not.
     let last = (vertices as u32).wrapping_sub(1);
-    let outside = |found, &index: &u32| found | index | last.wrapping_sub(index);
+    let outside = |bits, &index: &u32| bits | index | last.wrapping_sub(index);
     if region.indices.iter().fold(0, outside) >> 31 == 1 {
         let max = region.indices.iter().max().copied().unwrap_or_default();
         return Err(fault(format!("index {max} of {vertices} vertices")));
@@ -211,10 +213,10 @@ fn check(region: &Region) -> Result<(), EncodeError> {
 /// Hashes of a region's mesh as it is sent. They depend on the sent values of the vertices, not on their numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct MeshHash {
-    /// Hash of the triangles, in whatever order: a region whose triangles the client holds is not sent again. Two different meshes of one
-    /// region collide once in 10¹⁹ times.
+    /// Hash of the triangles, independent of their order. A region whose triangles the client holds is not sent again. The probability that
+    /// two different meshes of one region collide is 10⁻¹⁹.
     pub triangles: u64,
-    /// Hash of the triangles and their corners in order, and so of the chunk.
+    /// Hash of the triangles and their corners in order, which identifies the chunk.
     pub order: u64,
 }
 
@@ -224,19 +226,19 @@ impl MeshHash {
         VERTEX_HASHES.with_borrow_mut(|hashes| {
             hashes.clear();
             hashes.extend(region.vertices.iter().map(|vertex| WireVertex::quantise(vertex).hash()));
-            // A missing hash is no error here: an index past the vertices is refused when the region is encoded.
-            let of = |index: u32| hashes.get(index as usize).copied().unwrap_or_default();
+            // A missing hash is no error here, because an index above the last vertex is refused when the region is encoded.
+            let hash_of = |index: u32| hashes.get(index as usize).copied().unwrap_or_default();
             let (mut triangles, mut order) = (0_u64, Xxh3::new());
-            let mut rest = region.indices.as_chunks::<3>().0;
+            let mut remaining = region.indices.as_chunks::<3>().0;
             for count in region.level_triangles {
-                let (level, coarser) = rest.split_at_checked(count as usize).unwrap_or((rest, &[]));
-                rest = coarser;
+                let (level, coarser) = remaining.split_at_checked(count as usize).unwrap_or((remaining, &[]));
+                remaining = coarser;
                 let mut sum = u64::from(count);
                 for batch in level.chunks(HASHED_TRIANGLES) {
                     let mut corners = [[0; 3]; HASHED_TRIANGLES];
-                    for (to, triangle) in corners.iter_mut().zip(batch) {
-                        *to = triangle.map(of);
-                        sum = sum.wrapping_add(triangle_hash(*to));
+                    for (corner_hashes, triangle) in corners.iter_mut().zip(batch) {
+                        *corner_hashes = triangle.map(hash_of);
+                        sum = sum.wrapping_add(triangle_hash(*corner_hashes));
                     }
                     order.update(bytemuck::cast_slice(&corners[..batch.len()]));
                 }
@@ -249,13 +251,13 @@ impl MeshHash {
     }
 }
 
-/// Combines the two halves of a product by exclusive or, as wyhash does.
+/// Returns the exclusive or of both halves of a product, as wyhash does.
 fn folded_product(a: u64, b: u64) -> u64 {
     let product = u128::from(a) * u128::from(b);
     product as u64 ^ (product >> 64) as u64
 }
 
-/// Returns the hash of a triangle from those of its corners, whichever of them comes first.
+/// Returns the hash of a triangle from the hashes of its corners. The hash does not depend on which corner comes first.
 fn triangle_hash([a, b, c]: [u64; 3]) -> u64 {
     let edge = |from: u64, to: u64| folded_product(from ^ HASH_KEYS[0], to.rotate_left(32) ^ HASH_KEYS[1]);
     let sum = edge(a, b).wrapping_add(edge(b, c)).wrapping_add(edge(c, a));
@@ -267,7 +269,7 @@ fn triangle_hash([a, b, c]: [u64; 3]) -> u64 {
 /// # Errors
 /// [`EncodeError`].
 pub fn encoded_bytes(surface: &Surface, is_cancelled: &(dyn Fn() -> bool + Sync)) -> Result<Option<u64>, EncodeError> {
-    // The prefix does not matter, because a chunk's length does not depend on it. `Err(None)` stands for cancelled.
+    // Any prefix will do, because the length of a chunk does not depend on it. `Err(None)` means cancelled.
     let bytes = |region: &Region| match is_cancelled() {
         true => Err(None),
         false => Ok(encode(region, PrefixId::cut(0, 0, 0)).map_err(Some)?.len() as u64),
@@ -281,7 +283,7 @@ pub fn encoded_bytes(surface: &Surface, is_cancelled: &(dyn Fn() -> bool + Sync)
 }
 
 thread_local! {
-    /// One set of buffers for each thread: once they have grown, a chunk costs one allocation, its own bytes.
+    /// One set of buffers for each thread. Once they have grown, encoding a chunk allocates only the chunk's bytes.
     static SCRATCH: RefCell<Scratch> = RefCell::default();
     /// Hashes of a region's vertices.
     static VERTEX_HASHES: RefCell<Vec<u64>> = RefCell::default();
@@ -300,13 +302,13 @@ struct Scratch {
 }
 
 impl Scratch {
-    /// Writes both payloads of a region whose indices are checked.
+    /// Writes both payloads of a region whose indices were checked.
     fn write(&mut self, region: &Region) {
         let vertices = region.vertices.len();
         self.indices.begin(vertices, region.indices.len() / 3);
         self.traversal
             .write(&region.indices, &region.level_triangles, vertices, &mut self.indices);
-        // Quantises all vertices, which is vectorised, and then selects those that are used.
+        // Quantises all vertices, because that loop is vectorised, and then selects those that are used.
         self.quantised.clear();
         self.quantised.extend(region.vertices.iter().map(WireVertex::quantise));
         self.vertices.clear();
@@ -328,7 +330,7 @@ fn bounds(coords: [u32; 3], vertices: &[WireVertex]) -> ([f32; 3], [f32; 3]) {
             max[axis] = max[axis].max(vertex.position[axis]);
         }
     }
-    // In f64, because past 2¹⁶ cells a sum in f32 is too coarse for the lattice.
+    // Computes in f64, because above 2¹⁶ cells a sum in f32 is too coarse for the lattice.
     let index = |position: [i16; 3]| {
         [0, 1, 2].map(|axis| {
             let corner = f64::from(coords[axis]) * f64::from(REGION_CELLS);

@@ -2,7 +2,7 @@
 //!
 //! **Format.** A payload is a header byte, a code byte for each triangle, the data that codes refer to, and a table of 16 code
 //! bytes. Encoder and decoder keep two ring buffers, of the last 16 edges and the last 16 vertices. The high half of a code is the
-//! age of the edge that the triangle continues from, 15 if there is none; the low half says what its third vertex is:
+//! age of the edge from which the triangle continues, or 15 if there is no such edge. The low half says which the third vertex is:
 //!
 //! | low half | third vertex |
 //! |---|---|
@@ -11,12 +11,12 @@
 //! | 13, 14 | one before, or one after, the index written last |
 //! | 15 | any: the difference to the index written last follows as data (variable-length, zigzag) |
 //!
-//! A triangle without an edge has a code of its own if all three vertices are new. Otherwise it takes one data byte, with one half for
-//! its second and one for its third vertex.
+//! A triangle without such an edge has a special code if all three vertices are new. Otherwise it takes one data byte: one half for the
+//! second vertex, and one for the third.
 //!
-//! **Here.** meshoptimizer's encoder takes a list of indices and searches both buffers for each triangle. The traversal in `order`
-//! knows the edge that it continues from, and for vertices it is enough to remember when each entered the buffer: its age is a
-//! difference. So the common case, [`IndexWriter::attach`], searches nothing and selects the code without branches.
+//! **This writer.** meshoptimizer's encoder takes a list of indices and searches both buffers for each triangle. Here the traversal in
+//! `order` knows the edge from which it continues. For each vertex, the writer stores when the vertex entered the buffer, from which the
+//! age follows. So the common case, [`IndexWriter::attach`], searches nothing and selects the code without branches.
 //!
 //! Invariants: vertices get their final index in the order of their first use; a decoder's buffers hold the same edges and vertices
 //! after each triangle.
@@ -25,31 +25,35 @@ use std::hint::select_unpredictable;
 
 /// First byte of a payload: codec and version.
 const HEADER: u8 = 0xe1;
-/// Age from which on the codec cannot name an edge.
+/// Minimum age at which the codec cannot refer to an edge any more.
 pub(super) const REACH: u32 = 15;
-/// Highest age of a vertex that has a code; age 0 has none, its code means a new vertex.
+/// Maximum age of a vertex that has a code. Age 0 has no code, because code 0 means a new vertex.
 const MAX_VERTEX_AGE: u32 = 12;
-/// Codes of a third vertex: one before the index written last, one after it, and an index in the data.
+/// Code of a third vertex whose index is one before the index written last.
 const BEFORE_LAST: u32 = 13;
+/// Code of a third vertex whose index is one after the index written last.
 const AFTER_LAST: u32 = 14;
+/// Code of a third vertex whose index follows in the data.
 const EXPLICIT: u32 = 15;
 /// Code of a triangle without an edge whose vertices are all new.
 const ALL_NEW: u8 = 0xf0;
-/// Code of a triangle without an edge that has a data byte for its second and third vertex: new (0), in the buffer (age plus 1)
-/// or explicit. The low bit says whether the first one is explicit.
+/// Code of a triangle without an edge that has a data byte for its second and third vertex. Each half of the byte is 0 for a new vertex,
+/// the age plus 1 for a vertex in the buffer, or [`EXPLICIT`]. The low bit of the code says whether the first vertex is explicit.
 const SECOND_THIRD: u8 = 0xfe;
-/// Data bytes for second and third vertices that may have codes of their own. All but the first (all new) are too rare to matter.
+/// The data bytes that have a code, so that they need not be written as data. This writer uses only the first entry: all other combinations
+/// are too rare to matter.
 const CODE_TABLE: [u8; 16] = [0; 16];
 
-/// State of a vertex, as the decoder has it.
+/// State of a vertex in the decoder.
 #[derive(Clone, Copy)]
 struct VertexState {
-    /// Its index in the payload, or [`NEW`].
+    /// Index of the vertex in the payload, or [`NEW`].
     index: u32,
-    /// Value of the vertex clock when it last entered the buffer.
+    /// Value of the vertex clock when the vertex last entered the buffer.
     entered: u32,
 }
 
+/// Index of a vertex that was not used yet.
 const NEW: u32 = u32::MAX;
 
 /// The codec's state, and its output.
@@ -57,15 +61,16 @@ const NEW: u32 = u32::MAX;
 pub(super) struct IndexWriter {
     /// Code of each triangle.
     codes: Vec<u8>,
+    /// The data to which codes refer.
     data: Vec<u8>,
     /// State of each vertex, by its original number.
     vertices: Vec<VertexState>,
-    /// Original vertex of each new index. Has one entry more, which is written before it is known whether the vertex is new.
+    /// Original vertex of each new index. One more entry is written to before it is known whether the vertex is new.
     order: Vec<u32>,
     /// The index that the next new vertex gets.
-    next: u32,
-    /// The index written last as data, or by a code relative to it.
-    last: u32,
+    next_index: u32,
+    /// The index written last, as data or by a code relative to the index before.
+    last_index: u32,
     /// Number of vertices that have entered the buffer.
     vertex_clock: u32,
     /// The edge buffer. Each edge is a pair of original vertices.
@@ -75,7 +80,7 @@ pub(super) struct IndexWriter {
 }
 
 impl IndexWriter {
-    /// Begins a payload; every vertex that follows is below `vertices`.
+    /// Begins a payload of `triangles` triangles. Every vertex that follows is below `vertices`.
     pub fn begin(&mut self, vertices: usize, triangles: usize) {
         self.codes.clear();
         self.codes.reserve(triangles);
@@ -84,7 +89,7 @@ impl IndexWriter {
         self.vertices.resize(vertices, VertexState { index: NEW, entered: 0 });
         self.order.clear();
         self.order.resize(vertices + 1, 0);
-        (self.next, self.last) = (0, 0);
+        (self.next_index, self.last_index) = (0, 0);
         // At the beginning, no vertex is so recent that its age has a code.
         self.vertex_clock = 16;
         self.edges = [[NEW; 2]; 16];
@@ -93,7 +98,7 @@ impl IndexWriter {
 
     /// Returns the original vertices in the order of their first use.
     pub fn order(&self) -> &[u32] {
-        &self.order[..self.next as usize]
+        &self.order[..self.next_index as usize]
     }
 
     /// Returns the number of edges that have entered the buffer.
@@ -109,38 +114,39 @@ impl IndexWriter {
         [&[HEADER], &self.codes, &self.data, &CODE_TABLE]
     }
 
-    /// Writes a triangle that continues from an edge, which entered the buffer as `[a, b]`, `age` edges before the latest. Then the
-    /// triangle's own edges enter: `[c, b]`, then `[a, c]`.
+    /// Writes a triangle that continues from an edge. The edge entered the buffer as `[a, b]`, `age` edges before the latest. Then two
+    /// edges of the triangle enter the buffer: `[c, b]`, then `[a, c]`.
     #[inline]
     pub fn attach(&mut self, [a, b, c]: [u32; 3], age: u32) {
         debug_assert!(age < REACH);
         let vertex = &mut self.vertices[c as usize];
         let VertexState { index, entered } = *vertex;
         let vertex_age = self.vertex_clock - 1 - entered;
-        let (new, recent) = (index == NEW, vertex_age.wrapping_sub(1) < MAX_VERTEX_AGE);
+        let (is_new, is_recent) = (index == NEW, vertex_age.wrapping_sub(1) < MAX_VERTEX_AGE);
         // Branch-free, because it is unpredictable which case applies.
-        let step = index.wrapping_sub(self.last);
+        let step = index.wrapping_sub(self.last_index);
         let relative = select_unpredictable(step == u32::MAX, BEFORE_LAST, EXPLICIT);
         let relative = select_unpredictable(step == 1, AFTER_LAST, relative);
-        let code = select_unpredictable(new, 0, select_unpredictable(recent, vertex_age, relative));
-        let index = select_unpredictable(new, self.next, index);
+        let code = select_unpredictable(is_new, 0, select_unpredictable(is_recent, vertex_age, relative));
+        let index = select_unpredictable(is_new, self.next_index, index);
         *vertex = VertexState {
             index,
-            entered: select_unpredictable(recent, entered, self.vertex_clock),
+            entered: select_unpredictable(is_recent, entered, self.vertex_clock),
         };
-        self.order[self.next as usize] = c;
-        self.next += u32::from(new);
-        self.vertex_clock += u32::from(!recent);
+        self.order[self.next_index as usize] = c;
+        self.next_index += u32::from(is_new);
+        self.vertex_clock += u32::from(!is_recent);
         self.codes.push((age << 4 | code) as u8);
         if code == EXPLICIT {
             self.write_index(index);
         }
-        self.last = select_unpredictable(new | recent, self.last, index);
+        self.last_index = select_unpredictable(is_new | is_recent, self.last_index, index);
         self.enter_edge([c, b]);
         self.enter_edge([a, c]);
     }
 
-    /// Writes a triangle without an edge in the buffer. All three of its edges enter, the one that starts at the returned corner first.
+    /// Writes a triangle without an edge in the buffer. Then all three edges of the triangle enter the buffer, the one that starts at the
+    /// returned corner first.
     pub fn start(&mut self, mut corners: [u32; 3]) -> usize {
         // The format has no code for a second and third vertex that are new after a first one that is not.
         let is_new = |corner: &u32| self.vertices[*corner as usize].index == NEW;
@@ -151,9 +157,9 @@ impl IndexWriter {
         for (i, &corner) in corners.iter().enumerate() {
             let vertex = &mut self.vertices[corner as usize];
             if vertex.index == NEW {
-                vertex.index = self.next;
-                self.order[self.next as usize] = corner;
-                self.next += 1;
+                vertex.index = self.next_index;
+                self.order[self.next_index as usize] = corner;
+                self.next_index += 1;
             } else if i > 0 && ages[i] < EXPLICIT - 1 {
                 codes[i] = ages[i] + 1;
                 continue;
@@ -191,6 +197,7 @@ impl IndexWriter {
         })
     }
 
+    /// Adds an edge to the buffer.
     #[inline]
     fn enter_edge(&mut self, edge: [u32; 2]) {
         self.edges[self.edge_clock as usize % 16] = edge;
@@ -199,14 +206,14 @@ impl IndexWriter {
 
     /// Writes the difference to the index written last: seven bits a byte, the sign in the lowest bit.
     fn write_index(&mut self, index: u32) {
-        let step = index.wrapping_sub(self.last) as i32;
-        let mut rest = (step << 1 ^ step >> 31) as u32;
-        while rest > 127 {
-            self.data.push(rest as u8 | 128);
-            rest >>= 7;
+        let step = index.wrapping_sub(self.last_index) as i32;
+        let mut remaining = (step << 1 ^ step >> 31) as u32;
+        while remaining > 127 {
+            self.data.push(remaining as u8 | 128);
+            remaining >>= 7;
         }
-        self.data.push(rest as u8);
-        self.last = index;
+        self.data.push(remaining as u8);
+        self.last_index = index;
     }
 }
 

@@ -1,7 +1,8 @@
 //! Binary frames of the stream, from the device's regions to bytes and back. Normative: section 4 of `PROTOCOL.md`.
 //!
 //! - [`chunk`]: header, checks and vertices of a chunk.
-//! - [`encode`]: the encoder; triangles are in an `order` that `index_codec` writes. [`predictive`]: chunks for slow lines.
+//! - [`encode`]: the encoder. `order` orders the triangles; `index_codec` and `vertex_codec` write the payloads.
+//! - [`predictive`]: chunks for slow lines, with `range_coder`.
 //! - [`decode`]: chunks as a client reads them.
 
 pub mod chunk;

@@ -1,23 +1,24 @@
 //! The order in which a region's triangles are encoded: a traversal of the surface by half-edges.
 //!
-//! The index codec takes one byte for a triangle that shares an edge with one of the last [`REACH`] and whose third vertex is new,
-//! was used recently, or has an index next to the last one that was written in full; other triangles take more. The traversal
-//! grows the covered part of the surface along its boundary, as Edgebreaker does (J. Rossignac, 1999): it enters each triangle
-//! through a *gate*, an edge of the boundary, and leaves it through its right edge, or else its left one. The third vertex then is
-//! new, or the next one along the boundary, whose index follows the last one because it was numbered one turn earlier. The cost
-//! is linear in the number of triangles. meshoptimizer's strips are as small, but search for the next triangle among several
-//! candidates, and its encoder takes an index list whose edges it has to find again.
+//! The index codec takes one byte for a triangle that continues from one of the last [`REACH`] edges, if the third vertex is new, was used
+//! recently, or has an index next to the last one that was written in full. Other triangles take more bytes. The traversal grows the
+//! covered part of the surface along its boundary, as Edgebreaker does (J. Rossignac, 1999). It enters each triangle through a *gate*, an
+//! edge of the boundary, and leaves the triangle through the right edge, or else through the left one. Then the third vertex is new, or it
+//! is the next vertex along the boundary. The index of that vertex follows the last one, because the vertex was numbered one round earlier.
+//! The cost is linear in the number of triangles. meshoptimizer's strips are as small, but they search for the next triangle among several
+//! candidates, and meshoptimizer's encoder takes a list of indices, in which it has to find the edges again.
 //!
-//! - `connect` finds the twin of every half-edge, through [`EdgeTable`]; the two triangles of a quad follow each other in the
-//!   input, so their common edge needs no look-up.
-//! - `write` starts at every triangle that is not covered yet, and `cover` traverses what it reaches. If both ways out are
-//!   free, the left one goes on a stack with the codec's edge clock, by which a later step knows whether the codec still has it.
+//! - `connect` finds the twin of every half-edge in an [`EdgeTable`]. The two triangles of a quad follow each other in the input, so their
+//!   common edge needs no look-up.
+//! - `write` starts at every triangle that is not covered yet, and `cover` traverses the triangles that can be reached from there. If both
+//!   exits of a triangle are free, the left one is pushed on a stack with the codec's edge clock. From the clock a later step knows whether
+//!   the codec's buffer still contains the edge.
 //!
-//! Invariants: each triangle is written once, after all triangles of finer levels; twins are of one level, so no traversal leaves
-//! it; index 0 of all tables is a sentinel triangle that is always covered.
+//! Invariants: each triangle is written once, after all triangles of finer levels. Twins are of the same level, so no traversal leaves a
+//! level. Index 0 of all tables is a sentinel triangle that is always covered.
 //!
-//! Which of several cases applies is unpredictable for real surfaces, so the inner loops select by arithmetic instead of
-//! branching: a mispredicted branch costs as much as the rest of a step.
+//! The inner loops select by arithmetic instead of branching. On real surfaces it is unpredictable which of several cases applies, and a
+//! mispredicted branch costs as much as the rest of a step.
 
 use std::hint::select_unpredictable;
 use std::ops::Range;
@@ -25,12 +26,12 @@ use std::ops::Range;
 use super::chunk::MAX_INDICES;
 use super::index_codec::{IndexWriter, REACH};
 
-/// An edge of a triangle with its direction: four times the triangle's number, counted from 1, plus the corner that it starts at.
+/// An edge of a triangle with its direction: four times the triangle's number, counted from 1, plus the corner at which the edge starts.
 type HalfEdge = u32;
-/// Half-edge of the sentinel triangle, which is covered and takes writes that have no other target.
+/// Half-edge of the sentinel triangle. That triangle is covered, and serves as target of writes that have no other target.
 const NONE: HalfEdge = 0;
 
-/// Returns the corner after another one. Two bits each in a constant are faster than an array's element.
+/// Returns the corner after another one. The results are packed in a constant, two bits each, which is faster than an array.
 pub(super) fn after(corner: u32) -> u32 {
     0b00_10_01 >> (2 * corner) & 3
 }
@@ -48,7 +49,7 @@ struct Gate {
     clock: u32,
 }
 
-/// Buffers of the traversal, kept so that nothing is allocated once they have grown.
+/// Buffers of the traversal. They are reused, so that nothing is allocated once they have grown.
 #[derive(Default)]
 pub(super) struct Traversal {
     /// The twin (opposite half-edge) of each half-edge, by triangle and corner; the fourth entry is padding.
@@ -56,7 +57,7 @@ pub(super) struct Traversal {
     /// Whether each triangle is still to be written.
     uncovered: Vec<bool>,
     edges: EdgeTable,
-    /// Has the maximum length; only the first `stack_len` gates are in use.
+    /// Gates to enter later. The vector has the maximum length; only its first `stack_len` gates are in use.
     stack: Vec<Gate>,
     stack_len: usize,
 }
@@ -74,15 +75,15 @@ impl Traversal {
         }
     }
 
-    /// Returns the twin of each half-edge, across levels too. A half-edge is found by the number of its triangle, counted from 1, and the
-    /// corner that it starts at. A twin is four times its triangle's number, plus the corner; 0: no twin.
+    /// Returns the twin of each half-edge, even if the twin is of another level. The result is indexed by the number of the triangle,
+    /// counted from 1, and the corner at which the half-edge starts. 0 means that there is no twin.
     pub fn twins(&mut self, indices: &[u32], vertices: usize) -> &[[HalfEdge; 4]] {
         let triangles = indices.as_chunks::<3>().0;
         self.connect(triangles, &[triangles.len() as u32, 0, 0, 0, 0, 0], vertices);
         &self.twins
     }
 
-    /// Writes a triangle that no gate leads to, or whose gate has left the codec's buffer.
+    /// Writes a triangle to which no gate leads, or whose gate has left the codec's buffer.
     fn start(&mut self, triangle: u32, corners: [u32; 3], writer: &mut IndexWriter) {
         if let Some((corner, age)) = writer.find(corners) {
             return self.push(4 * triangle + corner, writer.clock() - age);
@@ -119,7 +120,7 @@ impl Traversal {
         }
     }
 
-    /// Writes the triangle behind a gate whose edge entered the codec's buffer `age` edges ago. Continues while a way out is free.
+    /// Writes the triangle behind a gate whose edge entered the codec's buffer `age` edges ago. Continues while an exit is free.
     fn follow(&mut self, mut gate: HalfEdge, mut age: u32, triangles: &[[u32; 3]], writer: &mut IndexWriter) {
         let corners = triangles[gate as usize / 4 - 1];
         let [mut a, mut b] = [gate % 4, after(gate % 4)].map(|corner| corners[corner as usize]);
@@ -131,18 +132,18 @@ impl Traversal {
             writer.attach([a, b, c], age);
             let twins = &self.twins[triangle];
             let [right, left] = [twins[second], twins[third]];
-            let [right_free, left_free] = [right, left].map(|half_edge| self.is_uncovered(half_edge));
-            // The left edge, which entered the codec's buffer last, is always pushed, but kept only if both ways out are free.
+            let [is_right_free, is_left_free] = [right, left].map(|half_edge| self.is_uncovered(half_edge));
+            // The left edge, which entered the codec's buffer last, is always stored, but counted only if both exits are free.
             self.stack[self.stack_len] = Gate {
                 half_edge: left,
                 clock: writer.clock(),
             };
-            self.stack_len += usize::from(right_free & left_free);
-            gate = select_unpredictable(right_free, right, select_unpredictable(left_free, left, NONE));
-            age = u32::from(right_free);
+            self.stack_len += usize::from(is_right_free & is_left_free);
+            gate = select_unpredictable(is_right_free, right, select_unpredictable(is_left_free, left, NONE));
+            age = u32::from(is_right_free);
             (a, b) = (
-                select_unpredictable(right_free, c, a),
-                select_unpredictable(right_free, b, c),
+                select_unpredictable(is_right_free, c, a),
+                select_unpredictable(is_right_free, b, c),
             );
         }
     }
@@ -154,7 +155,7 @@ impl Traversal {
     /// Finds the twin of each half-edge among the half-edges of its level.
     fn connect(&mut self, triangles: &[[u32; 3]], level_triangles: &[u32; 6], vertices: usize) {
         let entries = triangles.len() + 1;
-        // Twins that are left from other regions are all overwritten.
+        // Twins of earlier regions need not be cleared, because all of them are overwritten.
         if self.twins.len() < entries {
             self.twins.resize(entries, [NONE; 4]);
             // A triangle pushes one gate if it is entered through a gate, and three otherwise.
@@ -176,6 +177,7 @@ impl Traversal {
         }
     }
 
+    /// Finds the twins of the half-edges of one level.
     fn connect_level(&mut self, triangles: &[[u32; 3]], level: Range<usize>) {
         let level_begin = 4 * (level.start as HalfEdge + 1);
         let mut triangle = level.start;
@@ -183,8 +185,8 @@ impl Traversal {
             let half_edge = 4 * (triangle as HalfEdge + 1);
             let first = triangles[triangle];
             let second = triangles[triangle + 1..level.end].first();
-            if let Some((swapped, [a, b, c, d])) = second.and_then(|&second| quad(first, second)) {
-                let [one, other] = [0, 4].map(|half| half_edge + (half ^ select_unpredictable(swapped, 4, 0)));
+            if let Some((is_swapped, [a, b, c, d])) = second.and_then(|&second| quad(first, second)) {
+                let [one, other] = [0, 4].map(|half| half_edge + (half ^ select_unpredictable(is_swapped, 4, 0)));
                 self.link(one + 2, other);
                 self.match_twin(a, b, one, level_begin);
                 self.match_twin(b, c, one + 1, level_begin);
@@ -201,13 +203,14 @@ impl Traversal {
         }
     }
 
-    /// Links a half-edge with its twin, if that was seen before and is of the level whose half-edges begin at `level_begin`.
+    /// Links a half-edge with its twin, if the twin was seen before and is of the level whose half-edges begin at `level_begin`.
     #[inline(always)]
     fn match_twin(&mut self, from: u32, to: u32, half_edge: HalfEdge, level_begin: HalfEdge) {
         let twin = self.edges.replace(from, to, half_edge);
         self.link(half_edge, select_unpredictable(twin < level_begin, NONE, twin));
     }
 
+    /// Makes two half-edges each other's twins.
     #[inline]
     fn link(&mut self, half_edge: HalfEdge, twin: HalfEdge) {
         self.twins[half_edge as usize / 4][half_edge as usize % 4] = twin;
@@ -215,31 +218,33 @@ impl Traversal {
     }
 }
 
-/// Returns the quad of two triangles that start at the same end of its diagonal: `[a, b, c]` and `[a, c, d]`, in either order. Returns its
-/// corners, and whether the triangles are swapped. The diagonal is the third edge of one triangle and the first edge of the other.
+/// Recognises two triangles that form a quad and start at the same end of its diagonal: `[a, b, c]` and `[a, c, d]`, in either order.
+/// Returns the corners of the quad, and whether the triangles are swapped. The diagonal is the third edge of one triangle and the first
+/// edge of the other.
 #[inline]
 fn quad(first: [u32; 3], second: [u32; 3]) -> Option<(bool, [u32; 4])> {
-    let (in_order, swapped) = (first[2] == second[1], first[1] == second[2]);
-    let pick = |i: usize, of: [u32; 3], or: [u32; 3]| select_unpredictable(in_order, of[i], or[i]);
-    (first[0] == second[0] && (in_order | swapped)).then(|| {
+    let (is_in_order, is_swapped) = (first[2] == second[1], first[1] == second[2]);
+    let pick =
+        |i: usize, in_order: [u32; 3], swapped: [u32; 3]| select_unpredictable(is_in_order, in_order[i], swapped[i]);
+    (first[0] == second[0] && (is_in_order | is_swapped)).then(|| {
         let corners = [
             first[0],
             pick(1, first, second),
             pick(2, first, second),
             pick(2, second, first),
         ];
-        (!in_order, corners)
+        (!is_in_order, corners)
     })
 }
 
-/// The latest half-edge of each edge: a hash table with open addressing. An edge's slot is near those of its lower vertex' other
-/// edges, and neighbouring vertices have neighbouring indices, so that a traversal stays in the cache.
+/// The latest half-edge of each edge: a hash table with open addressing. Edges with the same lower vertex have neighbouring slots, and
+/// neighbouring vertices have neighbouring indices, so that a traversal stays in the processor's cache.
 #[derive(Default)]
 struct EdgeTable {
-    /// Packed from the highest bit on: lower and higher vertex, [`VERTEX_BITS`] each; whether the half-edge leads from the lower to the
-    /// higher; and the half-edge, [`HALF_EDGE_BITS`]. 0: free.
+    /// Entries, packed from the highest bit on: the lower and the higher vertex, [`VERTEX_BITS`] each; whether the half-edge leads from the
+    /// lower to the higher one; and the half-edge, [`HALF_EDGE_BITS`]. 0: the slot is free.
     slots: Vec<u64>,
-    /// Slots for the edges of one lower vertex; probing may continue in the slots of the next vertices.
+    /// Number of slots for the edges with the same lower vertex. Probing may continue in the slots of the next vertices.
     slots_per_vertex: u64,
 }
 
@@ -248,7 +253,7 @@ const VERTEX_BITS: u32 = 20;
 const _: () = assert!(MAX_INDICES < 1 << VERTEX_BITS && 4 * (MAX_INDICES / 3 + 1) < 1 << HALF_EDGE_BITS);
 
 impl EdgeTable {
-    /// Empties the table and reserves space for `half_edges` half-edges, even if each is of an edge of its own.
+    /// Empties the table, and reserves space for `half_edges` half-edges, even if all belong to different edges.
     fn clear(&mut self, vertices: usize, half_edges: usize) {
         let slots_per_vertex = half_edges * 3 / 2 / vertices.max(1) + 2;
         self.slots_per_vertex = slots_per_vertex as u64;
@@ -256,8 +261,8 @@ impl EdgeTable {
         self.slots.resize(slots_per_vertex * (vertices + 1), 0);
     }
 
-    /// Stores a half-edge as the latest of its edge. Returns the previous one, if it has the opposite direction. On an edge with more than
-    /// two half-edges, any two consecutive ones may be twins.
+    /// Stores a half-edge as the latest of its edge. Returns the previous half-edge of the edge, if it has the opposite direction. On an
+    /// edge with more than two half-edges, any two consecutive ones may be twins.
     #[inline]
     fn replace(&mut self, from: u32, to: u32, half_edge: HalfEdge) -> HalfEdge {
         let [low, high] = [u64::from(from.min(to)), u64::from(from.max(to))];
@@ -268,13 +273,13 @@ impl EdgeTable {
         let mut slot = (low * self.slots_per_vertex + ((hash * self.slots_per_vertex) >> 32)) as usize;
         loop {
             let stored = &mut self.slots[slot];
-            let found = *stored;
-            // 0 if the slot is free or has this edge. One branch serves both cases and is mostly taken; a branch that tells them apart
-            // would be unpredictable.
-            if found.min(found >> (HALF_EDGE_BITS + 1) ^ key) == 0 {
+            let previous = *stored;
+            // The minimum is 0 if the slot is free or holds this edge. One branch for both cases is mostly taken; a branch that
+            // distinguished them would be unpredictable.
+            if previous.min(previous >> (HALF_EDGE_BITS + 1) ^ key) == 0 {
                 *stored = entry;
-                let opposite = (found ^ entry) >> HALF_EDGE_BITS & 1 == 1;
-                return select_unpredictable(opposite, found as u32 & ((1 << HALF_EDGE_BITS) - 1), NONE);
+                let is_opposite = (previous ^ entry) >> HALF_EDGE_BITS & 1 == 1;
+                return select_unpredictable(is_opposite, previous as u32 & ((1 << HALF_EDGE_BITS) - 1), NONE);
             }
             slot = if slot + 1 < self.slots.len() { slot + 1 } else { 0 };
         }

@@ -1,11 +1,11 @@
-//! Adaptive binary range coder: bits, each with a model of the probability of a 1. The decoder mirrors the encoder, so the sequence of
-//! coded values is written once for both ([`Coder`]). Normative: `PROTOCOL.md`, section 4.1.
+//! Adaptive binary range coder. It codes bits, each with a model of the probability of a 1. The decoder mirrors the encoder, so the
+//! sequence of coded values is programmed once for both ([`Coder`]). Normative: `PROTOCOL.md`, section 4.1.
 
-/// Bits of precision of a probability, when a range is divided.
+/// Bits of precision of a probability when a range is divided.
 const PROBABILITY_BITS: u32 = 12;
 /// Lowest probability of either bit, in units of 1/2¹².
 const MIN_PROBABILITY: u32 = 16;
-/// If a range falls below this, it is extended by another byte.
+/// If a range is below this value, it is extended by another byte.
 const MIN_RANGE: u32 = 1 << 24;
 /// Number of bits after which the learning rate of a model stays constant.
 const MAX_SEEN: u8 = 100;
@@ -36,7 +36,7 @@ impl BitModel {
         (range >> PROBABILITY_BITS) * probability.clamp(MIN_PROBABILITY, max)
     }
 
-    /// Learns at a rate of about the reciprocal of the number of bits: fast at first, because chunks are short.
+    /// Adapts the probability to a bit. The rate is about the reciprocal of the number of bits: high at first, because chunks are short.
     fn update(&mut self, bit: bool) {
         let rate = (2 << 16) / (2 * u32::from(self.seen) + 5);
         self.seen = (self.seen + 1).min(MAX_SEEN);
@@ -49,14 +49,14 @@ impl BitModel {
     }
 }
 
-/// An encoder or a decoder. An encoder writes the values that it is given and returns them. A decoder ignores them and returns the values
+/// An encoder or a decoder. An encoder writes the given values and returns them. A decoder ignores the given values, and returns the values
 /// that it reads.
 pub(super) trait Coder {
     /// Codes a bit with a model.
     fn bit(&mut self, model: &mut BitModel, bit: bool) -> bool;
     /// Codes the `bits` low bits of a value, the highest first. 0 and 1 are equally probable.
     fn raw(&mut self, bits: u32, value: u32) -> u32;
-    /// Whether more bytes were read than the payload has.
+    /// Whether more bytes were read than the payload has. Always false for an encoder.
     fn is_exhausted(&self) -> bool;
 }
 
@@ -64,9 +64,11 @@ pub(super) trait Coder {
 pub(super) struct Encoder {
     /// The low end of the range; bit 32 is a carry.
     low: u64,
+    /// The size of the range.
     range: u32,
-    /// The last byte that a carry may change, and how many bytes of ones follow it.
+    /// The last byte that a carry may change and that is not 0xff.
     pending: u8,
+    /// Number of bytes of 0xff that follow the pending byte.
     ones: u32,
     bytes: Vec<u8>,
 }
@@ -87,10 +89,11 @@ impl Encoder {
         for _ in 0..5 {
             self.shift();
         }
-        // Drops the first byte, which is always 0: it is the pending byte of the beginning.
+        // Drops the first byte, which is always 0, because it is the initial pending byte.
         self.bytes.split_off(1)
     }
 
+    /// Extends the range until it is large enough for the next bit.
     fn normalise(&mut self) {
         while self.range < MIN_RANGE {
             self.range <<= 8;
@@ -98,7 +101,7 @@ impl Encoder {
         }
     }
 
-    /// Moves the highest byte of `low` out, once no carry can change it any more.
+    /// Shifts `low` by a byte. Writes the pending bytes, unless a carry can still change them.
     fn shift(&mut self) {
         const CARRY: u64 = 1 << 32;
         if self.low < 0xff00_0000 || self.low >= CARRY {
@@ -144,12 +147,15 @@ impl Coder for Encoder {
     }
 }
 
-/// Coder that reads a payload. Beyond its end it reads zeros.
+/// Coder that reads a payload. Beyond the end of the payload it reads zeros.
 pub(super) struct Decoder<'a> {
+    /// The payload's value relative to the low end of the range.
     code: u32,
+    /// The size of the range.
     range: u32,
     payload: &'a [u8],
-    at: usize,
+    /// Number of bytes that were read.
+    position: usize,
 }
 
 impl<'a> Decoder<'a> {
@@ -158,7 +164,7 @@ impl<'a> Decoder<'a> {
             code: 0,
             range: u32::MAX,
             payload,
-            at: 0,
+            position: 0,
         };
         for _ in 0..4 {
             decoder.take_byte();
@@ -166,14 +172,14 @@ impl<'a> Decoder<'a> {
         decoder
     }
 
-    /// Whether all of the payload was read, and no more.
+    /// Whether exactly the whole payload was read.
     pub fn is_at_end(&self) -> bool {
-        self.at == self.payload.len()
+        self.position == self.payload.len()
     }
 
     fn take_byte(&mut self) {
-        let byte = self.payload.get(self.at).copied().unwrap_or_default();
-        self.at += 1;
+        let byte = self.payload.get(self.position).copied().unwrap_or_default();
+        self.position += 1;
         self.code = self.code << 8 | u32::from(byte);
     }
 
@@ -215,15 +221,15 @@ impl Coder for Decoder<'_> {
     }
 
     fn is_exhausted(&self) -> bool {
-        self.at > self.payload.len()
+        self.position > self.payload.len()
     }
 }
 
-/// Model of whole numbers. Has models for the number of bits of the magnitude, the sign, and the two bits below the highest. Further bits
-/// are raw.
+/// Model of whole numbers. It has models for the number of bits of the magnitude, for the sign, and for the two bits below the highest.
+/// Further bits are coded without a model.
 pub(super) struct NumberModel {
     contexts: Vec<NumberContext>,
-    /// Models of the two bits below the highest, by the number of bits of the magnitude; the second one given the first.
+    /// Models of the two bits below the highest, by the number of bits of the magnitude. The models of the second bit depend on the first.
     below_highest: [[BitModel; 3]; MAX_LENGTH + 1],
 }
 
@@ -232,7 +238,7 @@ const MAX_LENGTH: usize = 20;
 
 #[derive(Clone, Copy, Default)]
 struct NumberContext {
-    /// Whether the magnitude has more bits, by number of bits.
+    /// Whether the magnitude has more bits than the index.
     is_longer: [BitModel; MAX_LENGTH],
     is_negative: BitModel,
 }
@@ -245,7 +251,7 @@ impl NumberModel {
         }
     }
 
-    /// Codes a number of less than 2²⁰ in magnitude.
+    /// Codes a number whose magnitude is less than 2²⁰.
     pub fn code(&mut self, coder: &mut impl Coder, context: usize, value: i32) -> i32 {
         let context = &mut self.contexts[context];
         let (given, given_length) = (value.unsigned_abs(), length(value));

@@ -1,50 +1,57 @@
 //! Writer of meshoptimizer's vertex codec, version 1 (`EXT_meshopt_compression`, mode ATTRIBUTES), for vertices of 12 bytes.
 //!
-//! **Format.** A payload is a header byte, blocks of up to 256 vertices, and a tail. Each of the 12 bytes of a vertex is a *plane* of
-//! its block: its differences from vertex to vertex, zigzag-coded, per byte or per 16-bit word. Which of the two is said in the tail,
-//! once for each four planes (a *channel*). A plane is stored all zero, verbatim, or in groups of 16 bytes with a width of 0, 1, 2,
-//! 4 or 8 bits for each group; the highest value of a width is a sentinel for a byte that follows the group in full. A block starts with
-//! two control bits a plane, a plane in groups with two bits of width a group. The tail holds the channels' kinds and the first vertex,
-//! which the first block's differences refer to.
+//! **Format.** A payload is a header byte, blocks of up to 256 vertices, and a tail. Each of the 12 bytes of a vertex gives a *plane*
+//! of the block: the zigzag-coded differences of this byte from vertex to vertex. Differences are computed by byte or by 16-bit word. The
+//! tail says which, once for each *channel* of four planes. A plane is all zero, verbatim, or in groups of 16 bytes. Each group has a width
+//! of 0, 1, 2, 4 or 8 bits; the highest value of a width is a sentinel for a byte that follows the group in full. A block starts with two
+//! control bits for each plane, and a plane in groups with two bits for the width of each group. The tail holds the channels' kinds and the
+//! first vertex, from which the differences of the first block start.
 //!
-//! **Here.** meshoptimizer's encoder takes vertices of any layout, and tries both kinds of differences for each channel of a mesh.
-//! The layout is known here: x and y differ by words, features by bytes, and only the channel of z and the normal is tried, on the
-//! first block. All sizes are computed before anything is written, and into a buffer that is large enough for any payload.
+//! **This writer.** meshoptimizer's encoder takes vertices of any layout, and tries both kinds of differences for each channel of a mesh.
+//! Here the layout is known: x and y use words, features use bytes, and only for the channel of z and the normal both kinds are tried, on
+//! the first block. All sizes are computed before anything is written, and the buffer is large enough for any payload.
 
 use super::chunk::{VERTEX_BYTES, WireVertex};
 
 /// First byte of a payload: codec and version.
 const HEADER: u8 = 0xa1;
-/// Vertices of a block; the format derives it from the bytes of a vertex, at most 256.
+/// Maximum vertices of a block. The format derives this number from the bytes of a vertex; it is at most 256.
 const BLOCK: usize = 256;
 const _: () = assert!(8192 / VERTEX_BYTES >= BLOCK);
 /// Bytes of a group.
 const GROUP: usize = 16;
+/// Groups of a plane.
 const GROUPS: usize = BLOCK / GROUP;
-/// Bits of a byte in a group. A narrow plane uses the first four of these, a wide one the last four.
+/// Widths of a group: bits per byte. A narrow plane uses the first four of these widths, a wide one the last four.
 const WIDTHS: [usize; 5] = [0, 1, 2, 4, 8];
-/// Control bits of a plane: groups of 0 to 4 bits, groups of 1 to 8 bits, all zero, or verbatim.
+/// Control bits of a plane in groups of 0 to 4 bits.
 const NARROW: u8 = 0;
+/// Control bits of a plane in groups of 1 to 8 bits.
 const WIDE: u8 = 1;
+/// Control bits of a plane that is all zero.
 const ZERO: u8 = 2;
+/// Control bits of a plane that is stored verbatim.
 const VERBATIM: u8 = 3;
-/// 16-bit words of a vertex: three coordinates, the normal, two features.
+/// Number of 16-bit words of a vertex: three coordinates, the normal, and two features.
 const WORDS: usize = VERTEX_BYTES / 2;
-/// Channels of a vertex: two words or four planes each.
+/// Number of channels of a vertex. Each has two words, or four planes.
 const CHANNELS: usize = VERTEX_BYTES / 4;
-/// Kinds of differences of a channel.
+/// Kind of a channel with differences of bytes.
 const BY_BYTES: u8 = 0;
+/// Kind of a channel with differences of words.
 const BY_WORDS: u8 = 1;
 /// Bytes of the tail: padding, because decoders read past a plane's end, then the first vertex and the kinds.
 const TAIL: usize = 24;
 
+/// A plane: one byte for each vertex of a block.
 type Plane = [u8; BLOCK];
 
 /// Writes payloads to a buffer that is reused.
 #[derive(Default)]
 pub(super) struct VertexWriter {
-    /// Has the length of the longest payload, so that it need not be cleared.
+    /// The payload, and unused bytes behind it. The buffer never shrinks, so that it need not be cleared.
     buffer: Vec<u8>,
+    /// Bytes of the payload.
     written: usize,
 }
 
@@ -54,7 +61,7 @@ impl VertexWriter {
         &self.buffer[..self.written]
     }
 
-    /// Replaces the payload.
+    /// Replaces the payload by that of these vertices.
     pub fn write(&mut self, vertices: &[WireVertex]) {
         self.written = 0;
         let Some(first) = vertices.first() else { return };
@@ -63,7 +70,7 @@ impl VertexWriter {
         if self.buffer.len() < max_bytes {
             self.buffer.resize(max_bytes, 0);
         }
-        self.put(&[HEADER]);
+        self.append(&[HEADER]);
         let mut last = first;
         let mut kinds = None;
         for block in vertices.chunks(BLOCK) {
@@ -72,73 +79,78 @@ impl VertexWriter {
             self.write_block(&words, kinds);
             last = &block[block.len() - 1];
         }
-        self.put(&[0; TAIL - VERTEX_BYTES - CHANNELS]);
-        self.put(bytemuck::bytes_of(first));
-        self.put(&kinds.unwrap_or_default());
+        self.append(&[0; TAIL - VERTEX_BYTES - CHANNELS]);
+        self.append(bytemuck::bytes_of(first));
+        self.append(&kinds.unwrap_or_default());
     }
 
+    /// Writes a block. `kinds`: the kind of each channel.
     fn write_block(&mut self, words: &Words, kinds: &[u8; CHANNELS]) {
         let control = self.written;
-        self.put(&[0; CHANNELS]);
+        self.append(&[0; CHANNELS]);
         for (channel, &kind) in kinds.iter().enumerate() {
             for (i, plane) in words.planes(channel, kind).iter().enumerate() {
                 let layout = PlaneLayout::smallest(plane, words.vertices);
                 self.buffer[control + channel] |= layout.control << (2 * i);
                 match layout.control {
                     ZERO => {}
-                    VERBATIM => self.put(&plane[..words.vertices]),
+                    VERBATIM => self.append(&plane[..words.vertices]),
                     _ => self.write_plane(plane, &layout, words.vertices.div_ceil(GROUP)),
                 }
             }
         }
     }
 
+    /// Writes a plane of `groups` groups.
     fn write_plane(&mut self, plane: &Plane, layout: &PlaneLayout, groups: usize) {
         let mut header = [0; GROUPS / 4];
         for (group, width) in layout.widths[..groups].iter().enumerate() {
             header[group / 4] |= (width - layout.control) << (group % 4 * 2);
         }
-        self.put(&header[..groups.div_ceil(4)]);
+        self.append(&header[..groups.div_ceil(4)]);
         for (group, &width) in plane.as_chunks().0.iter().zip(&layout.widths[..groups]) {
             self.write_group(group, WIDTHS[usize::from(width)]);
         }
     }
 
+    /// Writes a group with this number of bits per byte.
     fn write_group(&mut self, group: &[u8; GROUP], bits: usize) {
         let sentinel = match bits {
             0 => return,
-            8 => return self.put(group),
+            8 => return self.append(group),
             bits => (1 << bits) - 1,
         };
         let small = group.map(|byte| byte.min(sentinel));
         match bits {
-            // One bit: eight a byte, the first one lowest. Wider: the first one highest.
+            // With one bit, the first value is in the lowest bit of a byte. With more bits, the first value is in the highest bits.
             1 => {
                 let pack = |bits: &[u8; 8]| (0..8).fold(0, |byte, i| byte | bits[i] << i);
-                self.put(&[0, 1].map(|i| pack(&small.as_chunks().0[i])));
+                self.append(&[0, 1].map(|i| pack(&small.as_chunks().0[i])));
             }
-            2 => self.put(&[0, 4, 8, 12].map(|i| small[i] << 6 | small[i + 1] << 4 | small[i + 2] << 2 | small[i + 3])),
-            _ => self.put(&[0, 2, 4, 6, 8, 10, 12, 14].map(|i| small[i] << 4 | small[i + 1])),
+            2 => self
+                .append(&[0, 4, 8, 12].map(|i| small[i] << 6 | small[i + 1] << 4 | small[i + 2] << 2 | small[i + 3])),
+            _ => self.append(&[0, 2, 4, 6, 8, 10, 12, 14].map(|i| small[i] << 4 | small[i + 1])),
         }
-        // Every byte is written; the position advances only past those that the sentinel stands for.
-        let rest = self.buffer[self.written..].first_chunk_mut::<GROUP>();
-        let rest = rest.expect("the tail follows the last group");
-        let mut kept = 0;
+        // Branch-free: every byte is written, but the position advances only past bytes for which the sentinel stands.
+        let target = self.buffer[self.written..].first_chunk_mut::<GROUP>();
+        let target = target.expect("the tail follows the last group");
+        let mut full_bytes = 0;
         for &byte in group {
-            rest[kept % GROUP] = byte;
-            kept += usize::from(byte >= sentinel);
+            target[full_bytes % GROUP] = byte;
+            full_bytes += usize::from(byte >= sentinel);
         }
-        self.written += kept;
+        self.written += full_bytes;
     }
 
-    fn put(&mut self, bytes: &[u8]) {
+    /// Appends bytes to the payload.
+    fn append(&mut self, bytes: &[u8]) {
         self.buffer[self.written..][..bytes.len()].copy_from_slice(bytes);
         self.written += bytes.len();
     }
 }
 
-/// The words of a block as a structure of arrays. Each row begins with the word of the vertex before the block. The last vertex is repeated
-/// to the end of its group, which gives differences of 0.
+/// The words of a block as a structure of arrays: a row for each word. Each row begins with the word of the vertex before the block. The
+/// last vertex is repeated to the end of its group, so that the differences there are 0.
 struct Words {
     rows: [[u16; BLOCK + 1]; WORDS],
     vertices: usize,
@@ -150,8 +162,8 @@ impl Words {
         let vertices = block.len();
         let padded = vertices.next_multiple_of(GROUP);
         let last = [&block[vertices - 1]; GROUP];
-        let all = std::iter::once(before).chain(block).chain(last).take(1 + padded);
-        for (i, vertex) in all.enumerate() {
+        let vertices_with_padding = std::iter::once(before).chain(block).chain(last).take(1 + padded);
+        for (i, vertex) in vertices_with_padding.enumerate() {
             let words: [u16; WORDS] = bytemuck::cast(*vertex);
             for (row, word) in rows.iter_mut().zip(words) {
                 row[i] = word;
@@ -160,7 +172,7 @@ impl Words {
         Self { rows, vertices }
     }
 
-    /// Returns the kind of differences that makes the second channel smaller.
+    /// Returns the kind of differences with which the second channel, z and the normal, takes fewer bytes.
     fn kind_of_z_and_normal(&self) -> u8 {
         let bytes = [BY_BYTES, BY_WORDS].map(|kind| {
             let planes = self.planes(1, kind);
@@ -172,7 +184,7 @@ impl Words {
         if bytes[0] <= bytes[1] { BY_BYTES } else { BY_WORDS }
     }
 
-    /// Returns the planes of a channel.
+    /// Returns the planes of a channel with this kind of differences.
     fn planes(&self, channel: usize, kind: u8) -> [Plane; 4] {
         let mut planes = [[0; BLOCK]; 4];
         let padded = self.vertices.next_multiple_of(GROUP);
@@ -201,7 +213,9 @@ impl Words {
 
 /// How a plane is stored.
 struct PlaneLayout {
+    /// The control bits.
     control: u8,
+    /// Bytes of the stored plane.
     bytes: usize,
     /// Width of each group, as an index of [`WIDTHS`].
     widths: [u8; GROUPS],
@@ -212,13 +226,13 @@ impl PlaneLayout {
     fn smallest(plane: &Plane, vertices: usize) -> Self {
         let groups = vertices.div_ceil(GROUP);
         let header = groups.div_ceil(4);
-        // Sizes with narrow widths, and with wide ones.
+        // Bytes and widths of the groups as a narrow plane, and as a wide one.
         let (mut bytes, mut widths) = ([header; 2], [[0; GROUPS]; 2]);
-        let mut any = 0;
+        let mut any_nonzero = 0;
         for (i, group) in plane.as_chunks::<GROUP>().0[..groups].iter().enumerate() {
             let count_from = |low: u8| group.iter().map(|&byte| u8::from(byte >= low)).sum::<u8>();
             let nonzero = count_from(1);
-            any |= nonzero;
+            any_nonzero |= nonzero;
             let mut best = (2 + nonzero, 1);
             for candidate in [(4 + count_from(3), 2), (8 + count_from(15), 3)] {
                 best = if candidate.0 < best.0 { candidate } else { best };
@@ -230,7 +244,7 @@ impl PlaneLayout {
                 widths[k][i] = width;
             }
         }
-        let control = if any == 0 {
+        let control = if any_nonzero == 0 {
             ZERO
         } else if bytes[0].min(bytes[1]) >= vertices {
             VERBATIM

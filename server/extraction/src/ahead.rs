@@ -1,5 +1,5 @@
-//! Fields of time steps that a viewer may reach next. They take no memory from data in use: neither from pinned volumes, nor from time steps
-//! that viewers have open.
+//! Read-ahead of fields of time steps that a viewer may reach next. Read-ahead takes no memory from data in use: neither from pinned
+//! volumes, nor from time steps that viewers have open.
 
 use isopeel_kernels::{Error, RectilinearGrid, SampleType};
 
@@ -8,7 +8,7 @@ use super::keys::VolumeKey;
 use super::workspace::Workspace;
 
 impl Workspace {
-    /// Starts the upload of a field that is read ahead, if there is space for it; returns false if there is none.
+    /// Starts the upload of a field that is read ahead. Returns false if there is no space for the field.
     ///
     /// # Errors
     /// The device's errors.
@@ -33,38 +33,39 @@ impl Workspace {
         }
     }
 
-    /// Evicts volumes that are not in use until `bytes` fit: first those that were read ahead and never used, oldest first, until they and
-    /// the new one keep the budget; then others. Returns false, and evicts nothing, if that cannot free enough.
+    /// Evicts volumes that are not in use until `bytes` fit. First evicts volumes that were read ahead and never used, the oldest first,
+    /// until those that remain and the new one are within `budget` bytes. Then evicts others. If this cannot free enough, evicts nothing
+    /// and returns false.
     pub fn make_space_ahead(&mut self, bytes: u64, budget: u64) -> bool {
         let (pins, open_steps) = (&self.pins, &self.open_steps);
-        let stays = |key: &VolumeKey| pins.holds(key) || open_steps.contains(&key.step);
-        let kept: u64 = self
+        let is_in_use = |key: &VolumeKey| pins.holds(key) || open_steps.contains(&key.step);
+        let bytes_in_use: u64 = self
             .volumes
             .costs()
-            .filter(|(key, _)| stays(key))
+            .filter(|(key, _)| is_in_use(key))
             .map(|(_, bytes)| bytes)
             .sum();
         let uploads = self.upload_bytes();
-        if bytes > budget || kept.saturating_add(bytes + uploads) > self.volumes.budget() {
+        if bytes > budget || bytes_in_use.saturating_add(bytes + uploads) > self.volumes.budget() {
             return false;
         }
         let volumes = &self.volumes;
-        self.ahead.retain(|key| volumes.peek(key).is_some() && !stays(key));
+        self.ahead.retain(|key| volumes.peek(key).is_some() && !is_in_use(key));
         let cost = |key: &VolumeKey| {
             volumes
                 .costs()
                 .find(|(other, _)| *other == key)
                 .map_or(0, |(_, bytes)| bytes)
         };
-        let mut held: u64 = self.ahead.iter().map(cost).sum();
-        let mut gone = 0;
-        while held.saturating_add(bytes) > budget && gone < self.ahead.len() {
-            held -= cost(&self.ahead[gone]);
-            gone += 1;
+        let mut ahead_bytes: u64 = self.ahead.iter().map(cost).sum();
+        let mut evicted = 0;
+        while ahead_bytes.saturating_add(bytes) > budget && evicted < self.ahead.len() {
+            ahead_bytes -= cost(&self.ahead[evicted]);
+            evicted += 1;
         }
-        let gone: Vec<VolumeKey> = self.ahead.drain(..gone).collect();
-        self.volumes.retain(|key| !gone.contains(key));
-        self.volumes.evict_for(bytes + uploads, |key| !stays(key));
+        let evicted: Vec<VolumeKey> = self.ahead.drain(..evicted).collect();
+        self.volumes.retain(|key| !evicted.contains(key));
+        self.volumes.evict_for(bytes + uploads, |key| !is_in_use(key));
         true
     }
 }

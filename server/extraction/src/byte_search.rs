@@ -5,24 +5,25 @@ use isopeel_view::quality::{Budget, Fitted, TriangleBudget};
 
 use super::WorkError;
 
-/// Bytes of a triangle on the wire, assumed for the first trial: between a smooth surface's 4 and a noisy one's 7.
+/// Bytes of a triangle on the wire that the first trial assumes: between the 4 of a smooth surface and the 7 of a noisy one.
 const FIRST_BYTES_PER_TRIANGLE: f64 = 5.0;
 
-/// Bytes of a region with few triangles: header, beginnings of the codecs' streams, ghosts.
+/// Estimated bytes of a region without its triangles: header, beginnings of the codecs' streams, and ghosts.
 const BYTES_OF_REGION: f64 = 144.0;
 
-/// A budget counts as filled from this share on.
+/// Minimum share of a budget that a surface must take for the budget to count as filled.
 const FILLED: f64 = 0.85;
 
-/// Share of the budget that the second trial aims at: the middle of the range that counts as filled.
-const AIM: f64 = (1.0 + FILLED) / 2.0;
+/// Share of the budget that the second trial should take: the middle of the range that counts as filled.
+const TARGET: f64 = (1.0 + FILLED) / 2.0;
 
-/// Share of the budget that the bytes of empty regions may take without making an estimate uncertain. Above it the estimate aims lower, by
-/// `CAUTION` of the excess.
+/// Share of the budget that the regions may take without their triangles. If they take more, the estimate is uncertain, and the target is
+/// lowered by [`CAUTION`] times the excess.
 const LARGE_REGIONS: f64 = 0.25;
+/// See [`LARGE_REGIONS`].
 const CAUTION: f64 = 0.3;
 
-/// If two trials exceed the budget, their triangles are divided by this for the next one.
+/// If two trials exceed the budget, the next trial has the triangles of the smaller one divided by this number.
 const SHRINK: u64 = 4;
 
 /// A surface that was encoded.
@@ -36,13 +37,13 @@ pub struct Trial {
     pub regions: u64,
 }
 
-/// A search for the surface that fills a budget of bytes. Its owner makes and encodes the trials.
+/// A search for the surface that fills a budget of bytes. The owner of the search makes and encodes the trial surfaces.
 pub struct ByteSearch {
     budget: u64,
     trials: Vec<Trial>,
-    /// How each trial was fitted.
+    /// The fit of each trial.
     fits: Vec<Fitted>,
-    /// Triangles of the smallest surface that the guards allow; 0 until a trial below it was refused.
+    /// Triangles of the smallest surface that the guards allow; 0 until a smaller trial was refused.
     minimum: u64,
     /// Whether the current trial was refused.
     is_refused: bool,
@@ -60,8 +61,7 @@ impl ByteSearch {
         }
     }
 
-    /// Returns the view of the surface to try next, with a budget of at most `ceiling_triangles` in place of its own; `None` if the search is
-    /// over.
+    /// Returns `view` with the budget of the surface to try next, which is at most `ceiling_triangles`; `None` if the search is over.
     pub fn next_trial(&self, view: &View, ceiling_triangles: u64) -> Option<View> {
         let triangles = self.next_triangles()?.min(ceiling_triangles);
         Some(View {
@@ -71,14 +71,15 @@ impl ByteSearch {
         })
     }
 
+    /// Returns the triangles of the surface to try next; `None` if the search is over.
     fn next_triangles(&self) -> Option<u64> {
         next_triangles(self.budget, &self.trials).map(|triangles| triangles.max(self.minimum))
     }
 
-    /// Records that a trial has failed. If the guards allow no surface as small, the next trial is the smallest that they allow.
+    /// Records that a trial has failed. If the guards allow no surface that small, the next trial is the smallest surface that they allow.
     ///
     /// # Errors
-    /// The error, if another trial would fail as well.
+    /// Returns `error` if another trial would fail as well.
     pub fn refuse(&mut self, error: WorkError) -> Result<(), WorkError> {
         match error {
             WorkError::OverBudget { minimum, .. } if !self.is_refused && self.next_triangles() < Some(minimum) => {
@@ -89,8 +90,8 @@ impl ByteSearch {
         }
     }
 
-    /// Returns how a surface was fitted, unless it is one of the earlier trials. Then further trials do not help: it is the full surface,
-    /// one that an error decides, or the smallest.
+    /// Returns the fit of a surface; `None` if an earlier trial had the same fit. Then further trials do not help: the surface is the full
+    /// one, the smallest one, or one that an error decides.
     pub fn new_fit(&self, view: &View) -> Option<Fitted> {
         let fitted = view.fitted?;
         let is_same = |other: &Fitted| (other.threshold, other.topology) == (fitted.threshold, fitted.topology);
@@ -120,10 +121,10 @@ impl ByteSearch {
     /// Returns the fit of the largest surface that keeps the budget.
     ///
     /// # Errors
-    /// [`WorkError::OverBytes`] if none does; [`WorkError::Stopped`] if none was made.
+    /// [`WorkError::OverBytes`] if no trial keeps the budget; [`WorkError::Stopped`] if there was no trial.
     pub fn end(self) -> Result<Fitted, WorkError> {
-        if let Some(place) = best(self.budget, &self.trials) {
-            return Ok(self.fits[place]);
+        if let Some(index) = best(self.budget, &self.trials) {
+            return Ok(self.fits[index]);
         }
         let smallest = self.trials.iter().min_by_key(|trial| trial.bytes);
         Err(smallest.map_or(WorkError::Stopped, |smallest| WorkError::OverBytes {
@@ -137,13 +138,13 @@ impl ByteSearch {
 /// Returns the triangles of the surface to try next; `None` if the search is over. Two trials suffice unless both exceed the budget. Then
 /// the search continues, because the result must keep the budget.
 fn next_triangles(budget: u64, trials: &[Trial]) -> Option<u64> {
-    let is_kept = |trial: &Trial| trial.bytes <= budget;
-    let is_filled = |trial: &Trial| is_kept(trial) && trial.bytes as f64 >= FILLED * budget as f64;
+    let is_within = |trial: &Trial| trial.bytes <= budget;
+    let is_filled = |trial: &Trial| is_within(trial) && trial.bytes as f64 >= FILLED * budget as f64;
     match trials {
         [] => Some(((budget as f64 / FIRST_BYTES_PER_TRIANGLE) as u64).max(1)),
         [first] if !is_filled(first) => Some(estimate(budget, first)),
         [_] => None,
-        _ if trials.iter().any(is_kept) => None,
+        _ if trials.iter().any(is_within) => None,
         _ => {
             let fewest = trials.iter().map(|trial| trial.triangles).min().unwrap_or(0);
             Some(fewest / SHRINK).filter(|&triangles| triangles > 0)
@@ -153,20 +154,21 @@ fn next_triangles(budget: u64, trials: &[Trial]) -> Option<u64> {
 
 /// Returns the index of the best trial that keeps the budget.
 fn best(budget: u64, trials: &[Trial]) -> Option<usize> {
-    let kept = trials.iter().enumerate().filter(|(_, trial)| trial.bytes <= budget);
-    kept.max_by_key(|(_, trial)| trial.bytes).map(|(place, _)| place)
+    let within = trials.iter().enumerate().filter(|(_, trial)| trial.bytes <= budget);
+    within.max_by_key(|(_, trial)| trial.bytes).map(|(index, _)| index)
 }
 
-/// Estimates the triangles that fill the budget, if a triangle takes as many bytes as in the trial, and the number of regions stays.
+/// Estimates the triangles that fill the budget. Assumes that a triangle takes as many bytes as in the trial, and that the number of
+/// regions stays the same.
 fn estimate(budget: u64, trial: &Trial) -> u64 {
     let budget = budget as f64;
-    let regions = BYTES_OF_REGION * trial.regions as f64;
-    let of_triangles = (trial.bytes as f64 - regions).max(1.0);
-    let aim = (AIM - CAUTION * (regions / budget - LARGE_REGIONS).max(0.0)) * budget;
-    let triangles = (aim - regions) / of_triangles * trial.triangles as f64;
-    // If the bytes of the regions alone exceed the aim, the next trial has fewer triangles, which lie in fewer regions.
+    let region_bytes = BYTES_OF_REGION * trial.regions as f64;
+    let triangle_bytes = (trial.bytes as f64 - region_bytes).max(1.0);
+    let target_bytes = (TARGET - CAUTION * (region_bytes / budget - LARGE_REGIONS).max(0.0)) * budget;
+    let triangles = (target_bytes - region_bytes) / triangle_bytes * trial.triangles as f64;
+    // If the bytes of the regions alone exceed the target, the next trial has fewer triangles, which lie in fewer regions.
     let fewest = (trial.triangles / SHRINK).max(1);
-    if regions < aim {
+    if region_bytes < target_bytes {
         (triangles as u64).max(1)
     } else {
         fewest
@@ -243,8 +245,8 @@ mod tests {
                 regions,
             };
             for &(triangles, bytes, _) in others {
-                // A budget whose aim is these bytes.
-                let budget = (bytes as f64 / AIM) as u64;
+                // A budget whose target is these bytes.
+                let budget = (bytes as f64 / TARGET) as u64;
                 let estimate = estimate(budget, &first) as f64;
                 let off = estimate / triangles as f64 - 1.0;
                 assert!(off.abs() < 0.075, "{estimate}, expected {triangles}");

@@ -1,4 +1,4 @@
-//! Work with all that it needs, at once, for a program that has the device for itself.
+//! Runs work to its end, with everything that it needs first, for a program that has the device for itself.
 
 use isopeel_codec::encode::encoded_bytes;
 use isopeel_kernels::{Cancel, HistogramWork, RectilinearGrid, check_cancelled};
@@ -17,10 +17,11 @@ use super::reading::{Piece, bytes_while_read, read};
 use super::results::{Extraction, Making};
 use super::workspace::Workspace;
 
-/// How often work is tried before it fails: fields that it needs may be evicted again if the device runs out of memory.
+/// Maximum attempts at a piece of work. One retry is not always enough: fields that the work needs may be evicted again if the device runs
+/// out of memory.
 const MAX_ATTEMPTS: usize = 6;
 
-/// No other work waits for the workspace.
+/// States that no other work waits for the workspace.
 struct NoWaitingWork;
 
 impl WaitingWork<Workspace> for NoWaitingWork {
@@ -32,7 +33,7 @@ impl WaitingWork<Workspace> for NoWaitingWork {
 }
 
 impl Workspace {
-    /// Does a piece of work and all that it needs: loads or computes fields, makes histograms, takes as long as it takes.
+    /// Runs a piece of work as long work. First loads or computes the fields and makes the histograms that it needs.
     ///
     /// # Errors
     /// Those of the work, [`WorkError::Unreadable`], and [`WorkError::NotKept`] if the fields do not stay on the device.
@@ -90,7 +91,7 @@ impl Workspace {
         }
     }
 
-    /// As [`Workspace::surface`], within the host's memory as it is now.
+    /// As [`Workspace::surface`], within the host's memory that is available now.
     fn surface_now(
         &mut self,
         volume: &VolumeStep,
@@ -124,23 +125,23 @@ impl Workspace {
             measures: false,
             ..Making::default()
         };
-        while let Some(trial) = search.next_trial(view, ceiling) {
-            let made = match self.surface(volume, &trial, making, cancel) {
-                Ok(made) => made,
+        while let Some(trial_view) = search.next_trial(view, ceiling) {
+            let extraction = match self.surface(volume, &trial_view, making, cancel) {
+                Ok(extraction) => extraction,
                 Err(error) => {
                     search.refuse(error)?;
                     continue;
                 }
             };
-            let Some(fitted) = search.new_fit(&made.view) else {
+            let Some(fitted) = search.new_fit(&extraction.view) else {
                 break;
             };
-            // Encoding takes less time than making the surface.
-            let bytes = encoded_bytes(&made.surface, &|| false)
+            // Encoding is not cancelled, because it takes less time than making the surface.
+            let bytes = encoded_bytes(&extraction.surface, &|| false)
                 .inspect_err(|error| tracing::error!(%error, "a surface could not be encoded"));
             let trial = Trial {
-                triangles: made.surface.statistics.triangles,
-                regions: made.surface.regions.len() as u64,
+                triangles: extraction.surface.statistics.triangles,
+                regions: extraction.surface.regions.len() as u64,
                 bytes: bytes.ok().flatten().ok_or(WorkError::Stopped)?,
             };
             search.add(fitted, trial);
@@ -149,7 +150,7 @@ impl Workspace {
     }
 
     /// Makes a field resident: computes it on the device, or reads it. A file whose samples are padded or masked is read as a whole before
-    /// `cancel` is asked again.
+    /// `cancel` is polled again.
     ///
     /// # Errors
     /// [`WorkError`].
@@ -165,7 +166,7 @@ impl Workspace {
             return Ok(());
         }
         let loaded = match self.transfer(volume, key, cancel) {
-            // Once more: the samples need another type, or the file changed while it was read.
+            // Retries once: the samples need another type, or the file changed while it was read.
             Err(JobError::Failed(WorkError::Unreadable(error))) if error.can_retry => {
                 self.transfer(volume, key, cancel)
             }
@@ -180,31 +181,39 @@ impl Workspace {
         self.make_host_space(bytes_while_read(volume, key, self.engine().device().kind)?)?;
         let (mut sent, mut is_first) = (Ok(()), true);
         let read = read(volume, key, &ReadProgress::default(), &mut |piece| {
-            // Pieces that were decoded before the reader noticed that no more are taken.
+            // After a failure the reader may still send a few pieces, which are dropped.
             if sent.is_ok() {
                 sent = check_cancelled(cancel)
                     .map_err(JobError::from)
-                    .and_then(|()| self.send(key, &grid, &piece, std::mem::take(&mut is_first)));
+                    .and_then(|()| self.send_piece(key, &grid, &piece, std::mem::take(&mut is_first)));
             }
             sent.is_ok()
         });
         let loaded = sent
             .and(read.map_err(JobError::from))
-            .and_then(|()| self.finish(key, cancel));
+            .and_then(|()| self.complete_upload(key, cancel));
         if loaded.is_err() {
             self.drop_upload(key);
         }
         loaded
     }
 
-    fn send(&mut self, key: &VolumeKey, grid: &RectilinearGrid, piece: &Piece, is_first: bool) -> Result<(), JobError> {
+    /// Sends a piece of a field to the device. `is_first`: begins the upload.
+    fn send_piece(
+        &mut self,
+        key: &VolumeKey,
+        grid: &RectilinearGrid,
+        piece: &Piece,
+        is_first: bool,
+    ) -> Result<(), JobError> {
         if is_first {
             self.begin_upload(key.clone(), grid, piece.samples.sample_type(), piece.missing)?;
         }
         self.continue_upload(key, &piece.samples)
     }
 
-    fn finish(&mut self, key: &VolumeKey, cancel: &dyn Cancel) -> Result<(), JobError> {
+    /// Makes the table of minima and maxima of an uploaded field, and makes the field resident.
+    fn complete_upload(&mut self, key: &VolumeKey, cancel: &dyn Cancel) -> Result<(), JobError> {
         while !self.continue_table(key)? {
             check_cancelled(cancel)?;
         }

@@ -14,9 +14,11 @@ use super::user_time::Payer;
 use super::workspace::Workspace;
 
 impl Workspace {
-    /// Computes a field from others and makes it resident. Returns false if the host has to mask the field: its inputs are not resident
-    /// because there was no space for them, or the check of the device has not reached masking yet. The computation is launched in pieces
-    /// of limited time, and other jobs run between them. `user` is charged for the device time.
+    /// Computes a field from others and makes it resident. The computation is launched in pieces of limited time, and other jobs run
+    /// between them. `user` is charged for the device time.
+    ///
+    /// Returns false if the host has to mask the field: either its inputs are not resident because there was no space for them, or the
+    /// check of the device has not reached masking yet.
     ///
     /// # Errors
     /// [`JobError`]. If the computation exceeds the limit of a request or of the user: [`WorkError::TookTooLong`] or
@@ -40,7 +42,7 @@ impl Workspace {
         let limit = TimeLimit::new(self.request_time, payer)?;
         self.use_fields(volume, &inputs)?;
         let resident = |input: &VolumeKey| self.volumes.peek(input).map(Arc::clone).ok_or(WorkError::Stopped);
-        // The references keep the inputs from being freed meanwhile.
+        // The references keep the inputs from being freed while other jobs run.
         let held = inputs.iter().map(resident).collect::<Result<Vec<_>, _>>()?;
         let fields: Vec<&Volume> = held.iter().map(|field| &**field).collect();
         let bytes = self.make_space(volume, key, &recipe)?;
@@ -87,7 +89,8 @@ impl Workspace {
         Ok(true)
     }
 
-    /// Evicts cached data to make space for a field to compute: on the device, and in the host's memory if the device is the processors.
+    /// Evicts cached data to make space for a computed field on the device. If the device is this machine's processors, makes space in the
+    /// host's memory too.
     /// Returns the field's size in bytes.
     fn make_space(&mut self, volume: &VolumeStep, key: &VolumeKey, recipe: &Recipe) -> Result<u64, JobError> {
         let bytes = self.bytes_of(volume, std::slice::from_ref(key))?;
@@ -103,15 +106,18 @@ impl Workspace {
     }
 }
 
-/// Limits of the device time of a field's computation; `None`: no limit.
+/// Limits of the device time of a field's computation. `None`: no limit.
 #[derive(Clone, Copy)]
 struct TimeLimit {
+    /// Maximum time of a request.
     request: Option<Duration>,
     /// Time that the user had left at the start.
     user: Option<Duration>,
 }
 
 impl TimeLimit {
+    /// Returns the limits of a computation that begins now.
+    ///
     /// # Errors
     /// [`WorkError::UserTime`] if the user has no time left.
     fn new(request: Option<Duration>, payer: Option<&Payer>) -> Result<Self, WorkError> {
@@ -131,7 +137,7 @@ impl TimeLimit {
         limits.min().is_some_and(|limit| time > limit)
     }
 
-    /// Returns the error of a computation that exceeded the smaller of the limits.
+    /// Returns the error of a computation that has exceeded the smaller of the limits.
     fn error(self, payer: Option<&Payer>) -> WorkError {
         let request = self.request.unwrap_or(Duration::MAX);
         let left = payer.and_then(|payer| payer.left(Instant::now()));

@@ -1,4 +1,4 @@
-//! What work on a workspace needs from its caller: whether it is cancelled, and other work that uses the workspace in its pauses.
+//! The caller's side of work on a workspace: whether the work is cancelled, and other work that uses the workspace in its pauses.
 
 use std::cell::{Cell, RefCell};
 use std::time::{Duration, Instant};
@@ -7,21 +7,21 @@ use isopeel_kernels::{Cancel, StageTime};
 
 /// Work that waits for a workspace `W`.
 pub trait WaitingWork<W> {
-    /// Whether some of it may run now.
+    /// Whether any waiting work may run now.
     fn is_waiting(&self) -> bool;
 
-    /// Runs what may run now.
+    /// Runs the waiting work that may run now.
     fn run(&mut self, workspace: &mut W);
 }
 
 /// The caller of a piece of work on a workspace `W`.
 pub struct JobContext<'a, W> {
     cancel: &'a dyn Cancel,
-    /// `Some`: the work may take long, and this runs in its pauses.
+    /// Other work, which runs in the pauses. `None` for short work.
     waiting: Option<&'a mut (dyn WaitingWork<W> + 'a)>,
 }
 
-/// Finishes the work that was started on the device, and returns how long each stage took since the last call.
+/// Waits for the work that was started on the device, and returns the time of each stage since the last call.
 type TakeTimes<'a> = &'a dyn Fn() -> Vec<StageTime>;
 
 impl<'a, W> JobContext<'a, W> {
@@ -44,8 +44,8 @@ impl<'a, W> JobContext<'a, W> {
         self.waiting.is_some()
     }
 
-    /// Runs `work`, which borrows nothing of the workspace: other work changes it in the pauses. The stages before the last pause and the
-    /// time of other work are added to `job_times`.
+    /// Runs `work`. It must not borrow the workspace, because other work changes the workspace in the pauses. Adds the stages before the
+    /// last pause, and the time of other work, to `job_times`.
     pub fn run<T>(
         &mut self,
         workspace: &mut W,
@@ -65,7 +65,7 @@ impl<'a, W> JobContext<'a, W> {
     }
 }
 
-/// Cancellation of short work.
+/// Cancellation of short work, which does not pause.
 struct NoPause<'a>(&'a dyn Cancel);
 
 impl Cancel for NoPause<'_> {
@@ -74,7 +74,7 @@ impl Cancel for NoPause<'_> {
     }
 }
 
-/// Cancellation of long work, which pauses for others.
+/// Cancellation of long work, which pauses for other work.
 struct Pausing<'a, 'o, W> {
     cancel: &'a dyn Cancel,
     take_times: TakeTimes<'a>,
@@ -97,24 +97,24 @@ impl<W> Cancel for Pausing<'_, '_, W> {
         let start = Instant::now();
         waiting.run(workspace);
         (self.take_times)();
-        let elsewhere = &self.job_times.elsewhere;
-        elsewhere.set(elsewhere.get() + start.elapsed());
+        let other_work = &self.job_times.other_work;
+        other_work.set(other_work.get() + start.elapsed());
     }
 }
 
-/// Keeps the times of a piece of work apart from those of the work that it pauses for.
+/// Separates the times of a piece of work from those of other work in its pauses.
 #[derive(Default)]
 pub struct JobTimes {
     /// Stages before the last pause.
     stages: RefCell<Vec<StageTime>>,
     /// Time of other work, in pauses.
-    elsewhere: Cell<Duration>,
+    other_work: Cell<Duration>,
 }
 
 impl JobTimes {
-    /// Time of the work itself since `start`.
+    /// Returns the time of the work itself since `start`.
     pub fn own_time(&self, start: Instant) -> Duration {
-        start.elapsed().saturating_sub(self.elsewhere.get())
+        start.elapsed().saturating_sub(self.other_work.get())
     }
 
     /// Adds the stages before the last pause to those since then.

@@ -12,7 +12,7 @@ use super::on_device::Nodes;
 use super::workspace::Workspace;
 
 impl Workspace {
-    /// Counts the full surface of a view, which is resolved.
+    /// Counts the triangles of the full surface of a view, and resolves the view.
     ///
     /// # Errors
     /// [`JobError`].
@@ -23,11 +23,11 @@ impl Workspace {
         context: &mut JobContext<'_, Self>,
     ) -> Result<FullCount, JobError> {
         let start = Instant::now();
-        self.with_pyramid(volume, view, Nodes::All, context, |on, _, _| {
+        self.with_pyramid(volume, view, Nodes::All, context, |job, _, _| {
             Ok(FullCount {
-                triangles: on.pyramid.full_triangles(),
-                stages: on.new_pyramid_stages().to_vec(),
-                wall: on.own_time(start),
+                triangles: job.pyramid.full_triangles(),
+                stages: job.new_pyramid_stages().to_vec(),
+                wall: job.own_time(start),
             })
         })
     }

@@ -7,8 +7,8 @@ use isopeel_view::quality::{Fitted, TopologyName};
 use super::WorkError;
 use super::on_device::OnDevice;
 
-/// Upper limit of both meshers: dual contouring makes at most a quad for each of the twelve edges of a leaf, marching cubes at most five
-/// triangles.
+/// Maximum triangles that either mesher makes per leaf. Dual contouring makes at most a quad for each of the twelve edges of a leaf,
+/// marching cubes at most five triangles.
 const MAX_TRIANGLES_PER_LEAF: u64 = 24;
 
 impl OnDevice<'_> {
@@ -55,7 +55,8 @@ impl OnDevice<'_> {
         Ok((params, cut))
     }
 
-    /// As [`OnDevice::fitted_cut`], but refuses a surface of more than `ceiling` triangles. The view is unchanged if it is refused.
+    /// As [`OnDevice::fitted_cut`], but refuses a surface of more than `ceiling` triangles. If the surface is refused, the view is
+    /// unchanged.
     ///
     /// # Errors
     /// [`WorkError::TooManyTriangles`], and those of [`OnDevice::fitted_cut`].
@@ -72,7 +73,8 @@ impl OnDevice<'_> {
         Ok((params, cut))
     }
 
-    /// Returns the number of triangles of the smallest surface of cubes that is not empty. Every surface within the budget must be empty.
+    /// Returns the number of triangles of the smallest surface of cubes that is not empty. Called only if every surface within the budget
+    /// is empty.
     fn smallest_surface(&self, params: &CutParams, budget: u64, cancel: &dyn Cancel) -> Result<u64, Error> {
         let mut larger_budget = budget;
         while larger_budget < self.pyramid.full_triangles() {
@@ -85,15 +87,15 @@ impl OnDevice<'_> {
         Ok(self.pyramid.full_triangles())
     }
 
-    /// Returns the parameters and the cut that keep a budget, and the number of triangles. The tolerance is not below that of `params`: a
-    /// requested error allows fewer triangles than the budget.
+    /// Returns the parameters and the cut that keep a budget, and the number of triangles. The tolerance is not below that of `params`,
+    /// because a requested error may allow fewer triangles than the budget.
     fn fit(&self, params: &CutParams, budget: u64, cancel: &dyn Cancel) -> Result<(CutParams, Cut, u64), Error> {
         let (engine, volume, pyramid) = (self.engine, self.volume, self.pyramid);
         let (fitted, cut, triangles) = engine.fit(volume, pyramid, params, budget, cancel)?;
         // `fitted` has no tolerance if nothing is decimated.
         if params
             .tolerance
-            .is_none_or(|error| fitted.tolerance.is_some_and(|found| found >= error))
+            .is_none_or(|error| fitted.tolerance.is_some_and(|fitted_error| fitted_error >= error))
         {
             return Ok((fitted, cut, triangles));
         }
@@ -102,7 +104,8 @@ impl OnDevice<'_> {
         Ok((params.clone(), cut, triangles))
     }
 
-    /// Refuses a surface of more than `ceiling` triangles before it is made. Counts triangles only if the number of leaves does not decide.
+    /// Refuses a surface of more than `ceiling` triangles before it is made. Counts the triangles only if the number of leaves does not
+    /// rule out that there are too many.
     fn check_ceiling(&self, cut: &Cut, ceiling: u64, cancel: &dyn Cancel) -> Result<(), WorkError> {
         if cut.leaves().iter().sum::<u64>().saturating_mul(MAX_TRIANGLES_PER_LEAF) <= ceiling {
             return Ok(());

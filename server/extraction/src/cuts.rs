@@ -7,40 +7,41 @@ use isopeel_kernels::Cut;
 use super::CutId;
 use super::residency::Lru;
 
-/// Number of most recently used cuts that are kept even above the budget: the cut that a client shows, its target, and the cut of the next
-/// step. With these three, the surface of a large volume can change region by region too.
+/// Number of most recently used cuts that stay even above the budget: the cut that a client shows, its target, and the cut of the next
+/// step. With these three, even the surface of a large volume can change region by region.
 const MIN_CUTS: usize = 3;
 
 /// Cuts that clients show, and the cuts that their surfaces are refined to.
 pub(crate) struct Cuts {
-    kept: Lru<CutId, Arc<Cut>>,
+    by_id: Lru<CutId, Arc<Cut>>,
 }
 
 impl Cuts {
-    /// Keeps cuts of at most `budget` bytes in total, but always the latest [`MIN_CUTS`]. If a client's cut was evicted, its next surface
-    /// is made in full.
+    /// Creates a cache of at most `budget` bytes, in which the latest [`MIN_CUTS`] always stay. If the cut of a client was evicted, the
+    /// client's next surface is made in full.
     pub(crate) fn new(budget: u64) -> Self {
         Self {
-            kept: Lru::new(budget).keeping(MIN_CUTS),
+            by_id: Lru::new(budget).keeping(MIN_CUTS),
         }
     }
 
     /// Returns the device bytes of all cuts.
     pub(crate) fn cost(&self) -> u64 {
-        self.kept.cost()
+        self.by_id.cost()
     }
 
     pub(crate) fn clear(&mut self) {
-        self.kept.retain(|_| false);
+        self.by_id.retain(|_| false);
     }
 
     pub(crate) fn get(&mut self, id: CutId) -> Option<Arc<Cut>> {
-        self.kept.get(&id).cloned()
+        self.by_id.get(&id).cloned()
     }
 
-    pub(crate) fn keep(&mut self, cut: Arc<Cut>) -> CutId {
+    /// Caches a cut under a new id.
+    pub(crate) fn insert(&mut self, cut: Arc<Cut>) -> CutId {
         let id = CutId::next();
-        self.kept.insert(id, cut.device_bytes(), cut);
+        self.by_id.insert(id, cut.device_bytes(), cut);
         id
     }
 }

@@ -1,10 +1,10 @@
-//! What a dataset is to a view: the view that it opens with, and the grid of a view's surface.
+//! Views of a dataset: the view with which viewers open it, and the grid of a view's surface.
 
 use isopeel_geometry::IndexSpace;
 use isopeel_view::{Edit, EditError, View};
 use isopeel_volumes::{Dataset, Geometry};
 
-/// Returns the edit that viewers open the dataset with, if it has one.
+/// Returns the edit with which viewers open the dataset, if the dataset has one.
 ///
 /// # Errors
 /// The dataset's JSON is no edit.
@@ -16,7 +16,7 @@ pub fn opening_edit(dataset: &Dataset) -> Result<Option<Edit>, EditError> {
     })
 }
 
-/// Returns the view that the dataset opens with.
+/// Returns the view with which viewers open the dataset.
 ///
 /// # Errors
 /// The dataset's JSON is no edit, or the edit does not fit the fields.

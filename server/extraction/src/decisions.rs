@@ -12,24 +12,29 @@ pub(crate) enum Decided {
     Cubes {
         params: CutParams,
         cut: Arc<Cut>,
-        /// The tree has not been tried yet.
+        /// Whether the tree has not been tried yet.
         can_improve: bool,
     },
 }
 
-/// Returns the milder of two refusals of a view: the one of the tree's cut, if there is a tree, or the one of the cut of cubes. The milder
-/// one names the smaller surface.
-pub(crate) fn lesser(tree: Option<WorkError>, cubes: WorkError) -> WorkError {
+/// Returns the milder of two refusals of a view: that of the cut of the tree, if there is a tree, or that of the cut of cubes. The milder
+/// refusal names the smaller surface.
+pub(crate) fn milder_refusal(tree: Option<WorkError>, cubes: WorkError) -> WorkError {
     match (&tree, &cubes) {
-        (Some(WorkError::OverBudget { minimum, .. }), WorkError::OverBudget { minimum: of_cubes, .. })
-            if minimum < of_cubes => {}
+        (
+            Some(WorkError::OverBudget { minimum, .. }),
+            WorkError::OverBudget {
+                minimum: cubes_minimum, ..
+            },
+        ) if minimum < cubes_minimum => {}
         (
             Some(WorkError::TooManyTriangles { triangles, .. }),
             WorkError::TooManyTriangles {
-                triangles: of_cubes, ..
+                triangles: cubes_triangles,
+                ..
             },
-        ) if triangles < of_cubes => {}
-        // With a larger budget the tree's cut is accepted; the cut of cubes exceeds the limit whatever the budget.
+        ) if triangles < cubes_triangles => {}
+        // With a larger budget the cut of the tree would be accepted. The cut of cubes exceeds the server's limit whatever the budget is.
         (Some(WorkError::OverBudget { .. }), WorkError::TooManyTriangles { .. }) => {}
         _ => return cubes,
     }
@@ -47,20 +52,20 @@ pub(crate) enum TreeCut {
 
 #[cfg(test)]
 mod tests {
-    use super::{WorkError, lesser};
+    use super::{WorkError, milder_refusal};
 
     #[test]
     fn a_view_that_is_refused_twice_is_told_the_smaller_minimum() {
         let over = |minimum| WorkError::OverBudget { minimum, budget: 9 };
         let large = |triangles| WorkError::TooManyTriangles { triangles, ceiling: 20 };
-        let suggested = |tree, cubes| lesser(tree, cubes).suggested_triangles();
+        let suggested = |tree, cubes| milder_refusal(tree, cubes).suggested_triangles();
         assert_eq!(suggested(Some(over(30)), over(40)), Some(30));
         assert_eq!(suggested(Some(over(40)), over(30)), Some(30));
         assert_eq!(suggested(None, over(30)), Some(30));
         assert_eq!(suggested(Some(over(30)), large(99)), Some(30));
         assert_eq!(suggested(Some(large(50)), large(99)), Some(20));
         assert!(matches!(
-            lesser(Some(large(50)), over(30)),
+            milder_refusal(Some(large(50)), over(30)),
             WorkError::OverBudget { .. }
         ));
     }

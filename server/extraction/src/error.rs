@@ -24,16 +24,16 @@ pub enum OpenError {
         device: String,
         /// Version of its driver.
         driver: String,
-        /// The stage, and what it found.
+        /// The stage that failed, and how.
         why: Box<CheckError>,
     },
-    /// The device is not to be used; the text says why, and what to do.
+    /// The device must not be used; the text says why, and what to do.
     #[error("{0}")]
     Refused(String),
 }
 
 impl OpenError {
-    /// The device of this description failed its check.
+    /// Returns the error that a device has failed its check.
     pub fn check(device: &DeviceInfo, why: CheckError) -> Self {
         Self::Check {
             device: device.name.clone(),
@@ -42,7 +42,7 @@ impl OpenError {
         }
     }
 
-    /// Whether the device opens but computes wrong results.
+    /// Whether the device could be opened but computes wrong results.
     pub fn has_wrong_results(&self) -> bool {
         matches!(self, Self::Check { why, .. } if matches!(**why, CheckError::Differs { .. }))
     }
@@ -53,7 +53,7 @@ impl OpenError {
 #[non_exhaustive]
 pub enum WorkError {
     /// The queue is full: try again later.
-    #[error("the device has as much work queued as it takes, try again in a few seconds")]
+    #[error("the queue of the device is full, try again in a few seconds")]
     Busy,
     /// A file cannot be read.
     #[error(transparent)]
@@ -70,15 +70,17 @@ pub enum WorkError {
     #[error("fields of the view were evicted while its surface was made: it needs more memory on the device")]
     NotKept,
     /// The host has no memory for this work now.
-    #[error("there is no memory for it now on this machine, it needs {needed_bytes} bytes: try again in a few seconds")]
+    #[error(
+        "this machine has no memory for the work now, which needs {needed_bytes} bytes: try again in a few seconds"
+    )]
     HostBusy {
-        /// Bytes that it would take.
+        /// Bytes that the work would take.
         needed_bytes: u64,
     },
     /// The host will never have memory for this work.
-    #[error("it needs {needed_bytes} bytes of this machine's memory, the limit is {limit_bytes}")]
+    #[error("the work needs {needed_bytes} bytes of this machine's memory, the limit is {limit_bytes}")]
     TooLargeForHost {
-        /// Bytes that it would take.
+        /// Bytes that the work would take.
         needed_bytes: u64,
         /// Maximum bytes.
         limit_bytes: u64,
@@ -88,9 +90,9 @@ pub enum WorkError {
         "the surface would have {triangles} triangles, the limit is {ceiling}: ask for a budget of triangles, such as {ceiling}"
     )]
     TooManyTriangles {
-        /// Triangles it would have.
+        /// Triangles that the surface would have.
         triangles: u64,
-        /// Maximum triangles; also the budget that is suggested.
+        /// Maximum triangles, and the budget that is suggested.
         ceiling: u64,
     },
     /// Every surface of the view exceeds its budget, given the guards that were set.
@@ -113,10 +115,10 @@ pub enum WorkError {
         /// Maximum bytes that were asked for.
         budget: u64,
     },
-    /// A question is about a surface, and none is shown.
+    /// A question is about the shown surface, but no surface is shown.
     #[error("no surface is shown yet, expected an `edit` first")]
     NothingShown,
-    /// Parts are to be removed, and there is no vertex tree to remove them from.
+    /// Parts are to be removed, but there is no vertex tree to remove them from.
     #[error(
         "minPart, parts: parts are removed from the vertex tree, for which the surface is too large on this device"
     )]
@@ -124,7 +126,7 @@ pub enum WorkError {
     /// The view does not fit the dataset.
     #[error(transparent)]
     Edit(#[from] EditError),
-    /// The work took more of the device's time than a request may.
+    /// The work took more device time than a request may take.
     #[error("it takes more than {} s of the device's time, which is the limit of a request: ask for a simpler expression", limit.as_secs_f64())]
     TookTooLong {
         /// Maximum time of a request.
@@ -132,7 +134,7 @@ pub enum WorkError {
     },
     /// The user's computed fields have used up the device time that one user may take.
     #[error(
-        "expressions and distances of yours have taken the {} s of the device's time that one user may take within {} minutes: try again in {} s, or \
+        "your expressions and distances have taken the {} s of the device's time that one user may take within {} minutes: try again in {} s, or \
          ask for a simpler expression",
         limit.as_secs_f64(),
         USER_TIME_PERIOD.as_secs() / 60,
@@ -141,7 +143,7 @@ pub enum WorkError {
     UserTime {
         /// Maximum time of a user.
         limit: Duration,
-        /// Time to wait until some is available again.
+        /// Time until the user has device time again.
         wait: Duration,
     },
     /// A stage failed.
@@ -151,21 +153,21 @@ pub enum WorkError {
     #[error(transparent)]
     NoDevice(Arc<OpenError>),
     /// The device was lost while this job ran. It is reopened; its data is loaded again on demand.
-    #[error("the device was lost while it worked on this, and is opened again: try again")]
+    #[error("the device was lost during this work, and is being reopened: try again")]
     DeviceLost,
     /// The device was lost, and could not be reopened so far.
-    #[error("the device was lost and cannot be opened again so far: try again in a few seconds")]
+    #[error("the device was lost and could not be reopened yet: try again in a few seconds")]
     Reopening,
     /// Cancelled by the caller's token.
     #[error("cancelled")]
     Cancelled,
     /// The device's thread ended, or the job panicked; the log says why.
-    #[error("the device worker gave the job up, the server's log says why")]
+    #[error("the job was aborted, the server's log says why")]
     Stopped,
 }
 
 impl WorkError {
-    /// The error that a view has no isovalue, and none can be chosen.
+    /// Returns the error that a view has no isovalue, and that none can be chosen.
     pub(crate) fn no_finite_sample() -> Self {
         Self::Edit(EditError {
             field: "iso",
@@ -173,7 +175,7 @@ impl WorkError {
         })
     }
 
-    /// The stable code of `PROTOCOL.md`, also in REST problems.
+    /// Returns the stable code of `PROTOCOL.md`, which REST problems have too.
     pub fn code(&self) -> &'static str {
         match self {
             Self::Busy | Self::HostBusy { .. } | Self::UserTime { .. } => "busy",
@@ -193,13 +195,13 @@ impl WorkError {
         }
     }
 
-    /// Whether the caller cancelled the work, so that nothing is wrong.
+    /// Whether the caller has cancelled the work, which is no failure.
     pub fn is_cancelled(&self) -> bool {
         matches!(self, Self::Cancelled)
     }
 
-    /// Whether the view itself cannot be shown, for any caller and after any number of retries: the viewer then returns to the surface
-    /// shown before. False if another budget would help, and if the device failed, as a retry may succeed.
+    /// Whether the view itself cannot be shown, whatever the caller and however often it is retried. If so, the viewer returns to the
+    /// surface shown before. False if another budget would help, or if the device failed, because a retry may succeed.
     pub fn rejects_view(&self) -> bool {
         matches!(
             self,
@@ -213,13 +215,13 @@ impl WorkError {
         )
     }
 
-    /// Returns the message for a client. It names files without their folders, and leaves out compiler messages, which name folders too.
-    /// The log gets the whole error.
+    /// Returns the message for a client. The message names files without their folders, and contains no compiler messages, which name
+    /// folders too. The log gets the whole error.
     pub fn public_message(&self) -> String {
         match self {
             Self::Unreadable(error) => error.without_folder(),
-            Self::Device(error) => of_device(error),
-            Self::NoDevice(error) => of_opening(error),
+            Self::Device(error) => device_message(error),
+            Self::NoDevice(error) => opening_message(error),
             other => chain(other),
         }
     }
@@ -235,14 +237,16 @@ impl WorkError {
     }
 }
 
-fn of_opening(error: &OpenError) -> String {
+/// Returns the message for a client about a device that could not be opened.
+fn opening_message(error: &OpenError) -> String {
     match error {
-        OpenError::Device(error) => of_device(error),
+        OpenError::Device(error) => device_message(error),
         other => chain(other),
     }
 }
 
-fn of_device(error: &isopeel_kernels::Error) -> String {
+/// Returns the message for a client about an error of the kernels.
+fn device_message(error: &isopeel_kernels::Error) -> String {
     match error {
         isopeel_kernels::Error::Build { stage, .. } => {
             format!("stage {stage} did not build on this device, the server's log says why")
@@ -260,15 +264,15 @@ impl From<isopeel_kernels::Error> for WorkError {
     }
 }
 
-/// Formats an error and its causes on one line. A cause that the line already ends with is left out.
+/// Formats an error and its causes on one line. Skips a cause if the line already ends with its message.
 pub fn chain(error: &(dyn std::error::Error + 'static)) -> String {
     let mut line = error.to_string();
     let mut cause = error.source();
     while let Some(error) = cause {
-        let words = error.to_string();
-        if !line.ends_with(&words) {
+        let message = error.to_string();
+        if !line.ends_with(&message) {
             line.push_str(": ");
-            line.push_str(&words);
+            line.push_str(&message);
         }
         cause = error.source();
     }

@@ -1,4 +1,4 @@
-//! A feature with its fields, which are held while other jobs use the device.
+//! A feature with its fields. References to the fields keep them alive while other jobs use the device.
 
 use std::sync::Arc;
 

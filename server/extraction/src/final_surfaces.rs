@@ -1,4 +1,4 @@
-//! Final surfaces of views, and how far they are from the undecimated ones.
+//! Makes final surfaces of views, and measures how far they are from the undecimated surfaces.
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -29,9 +29,9 @@ impl Workspace {
     ) -> Result<Extraction, JobError> {
         let (start, mut view) = (Instant::now(), view.clone());
         let (surface, refined, wall) =
-            self.with_pyramid(volume, &mut view, Nodes::OfTheView, context, |on, view, cancel| {
-                let (surface, refined) = on.final_surface(view, making, cancel)?;
-                Ok((surface, refined, on.own_time(start)))
+            self.with_pyramid(volume, &mut view, Nodes::OfTheView, context, |job, view, cancel| {
+                let (surface, refined) = job.final_surface(view, making, cancel)?;
+                Ok((surface, refined, job.own_time(start)))
             })?;
         Ok(Extraction {
             surface,
@@ -42,8 +42,8 @@ impl Workspace {
         })
     }
 
-    /// Measures the error of a view's final surface, which the dual mesher made: a cut of the vertex tree if `view.fitted` says so and the
-    /// tree can be built, else a cut of cubes. `None` if the surface has no triangles.
+    /// Measures the error of a view's final surface, which the dual mesher has made. The surface is a cut of the vertex tree if
+    /// `view.fitted` says so and the tree can be built, else a cut of cubes. `None` if the surface has no triangles.
     ///
     /// # Errors
     /// [`JobError`].
@@ -53,21 +53,21 @@ impl Workspace {
         view: &mut View,
         context: &mut JobContext<'_, Self>,
     ) -> Result<Option<Measurement>, JobError> {
-        self.with_pyramid(volume, view, Nodes::OfTheView, context, |on, view, cancel| {
+        self.with_pyramid(volume, view, Nodes::OfTheView, context, |job, view, cancel| {
             let is_tree_cut = view.fitted.is_some_and(|fitted| fitted.is_tree_cut);
-            let of_tree = if is_tree_cut {
-                on.measure_tree(view, cancel)?
+            let tree_error = if is_tree_cut {
+                job.measure_tree(view, cancel)?
             } else {
                 None
             };
-            let measured = match of_tree {
+            let measured = match tree_error {
                 Some(measured) => measured,
                 None => {
-                    let params = on.params_of(view);
-                    on.engine.measure_error(on.volume, on.pyramid, &params, cancel)?
+                    let params = job.params_of(view);
+                    job.engine.measure_error(job.volume, job.pyramid, &params, cancel)?
                 }
             };
-            let in_world = |error| MeasuredError::in_world(error, on.smallest);
+            let in_world = |error| MeasuredError::in_world(error, job.smallest);
             let regions = measured.regions.into_iter();
             Ok(in_world(measured.whole).map(|whole| Measurement {
                 whole,
@@ -80,7 +80,7 @@ impl Workspace {
 }
 
 impl OnDevice<'_> {
-    /// Makes the final surface, and returns the cost of refining it.
+    /// Makes the final surface. Returns it with the cost of refining, if it was refined.
     fn final_surface(
         &self,
         view: &mut View,
@@ -95,7 +95,7 @@ impl OnDevice<'_> {
         let refines = refining != Refining::Never;
         let (params, cut) = if view.is_by_error() {
             // If the surface is to be refined, its error is measured after the refinement.
-            match self.decided(view, ceiling, true, measures && !refines, cancel)? {
+            match self.decide(view, ceiling, true, measures && !refines, cancel)? {
                 Decided::Tree(_) if refines => {
                     let (surface, cost) = self.refined_tree_surface(view, making, cancel)?;
                     return Ok((surface, Some(cost)));

@@ -5,9 +5,14 @@ use isopeel_volumes::VolumeStep;
 
 use super::WorkError;
 
-/// The grid of a dataset's samples on the device, padded by one sample on every side or not. Its unit of length is the smallest cell of the
-/// dataset ([`Dataset::smallest_length`](isopeel_volumes::Dataset::smallest_length)): surfaces, errors and tolerances on the device are the same
-/// whatever the spacing is, and neither squares nor inverses of it leave the range of 32 bits.
+/// Returns the grid of a dataset's samples on the device. `padded`: whether one sample is added on every side.
+///
+/// The unit of length is the smallest cell of the dataset ([`Dataset::smallest_length`](isopeel_volumes::Dataset::smallest_length)). So
+/// surfaces, errors and tolerances on the device do not depend on the unit of the spacing, and neither squares nor inverses of lengths
+/// leave the range of 32 bits.
+///
+/// # Errors
+/// The kernels do not support a grid of this size.
 pub fn padded_grid(volume: &VolumeStep, padded: bool) -> Result<RectilinearGrid, WorkError> {
     let dataset = volume.dataset();
     let dims = dataset.geometry.dims.map(|n| if padded { n + 2 } else { n });

@@ -7,7 +7,7 @@ use isopeel_kernels::{Histogram, lock};
 use super::keys::HistogramKey;
 use super::residency::Lru;
 
-/// Maximum number of cached histograms, 2 KiB each: every field and feature of a dataset of some hundred steps.
+/// Maximum number of cached histograms of 2 KiB each: enough for every field and feature of a dataset of some hundred steps.
 const CACHED_HISTOGRAMS: u64 = 2048;
 
 /// Cache of histograms. Clones share it.

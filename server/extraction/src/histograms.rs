@@ -1,4 +1,4 @@
-//! Histograms, made a slice at a time: other work waits for one slice at most, some milliseconds, however large the volume is.
+//! Histograms, made a slice at a time. Other work waits for at most one slice, which takes some milliseconds however large the volume is.
 
 use isopeel_kernels::{Histogram, HistogramWork};
 use isopeel_volumes::VolumeStep;
@@ -9,10 +9,10 @@ use super::keys::{HistogramKey, feature_keys};
 use super::workspace::Workspace;
 
 impl Workspace {
-    /// Marks the fields that a histogram is made of as used.
+    /// Marks the fields of which a histogram is made as used.
     ///
     /// # Errors
-    /// [`JobError::NotResident`] if one is not resident.
+    /// [`JobError::NotResident`] if one of them is not resident.
     pub fn use_histogram_fields(&mut self, volume: &VolumeStep, key: &HistogramKey) -> Result<(), JobError> {
         let keys = feature_keys(volume, &key.volume.field, &key.computed, false);
         match keys.as_slice() {
@@ -21,8 +21,8 @@ impl Workspace {
         }
     }
 
-    /// Runs the next slice of a histogram of a resident field, or of a feature derived from it. Returns the histogram, which is then
-    /// cached, if it is complete.
+    /// Runs the next slice of the work on a histogram of a resident field, or of a feature derived from the field. If the histogram is
+    /// complete then, caches and returns it.
     ///
     /// # Errors
     /// [`JobError::NotResident`], and the device's errors.

@@ -1,5 +1,5 @@
-//! Checks whether this machine has memory for a volume or a surface before it is allocated: the system kills a process that has taken too
-//! much, and with it every viewer's connection.
+//! Checks whether this machine has memory for a volume or a surface before the memory is allocated. Otherwise the system could kill a
+//! process that takes too much, and all viewers would lose their connections.
 
 use std::sync::OnceLock;
 
@@ -9,20 +9,21 @@ use super::memory::resident_bytes;
 /// Memory that is left for allocations without a check: sockets, frames in queues, the driver, other programs.
 const RESERVE_BYTES: u64 = 256 << 20;
 
-/// Bytes on the host for each triangle of a surface: its region meshes (24 a vertex, 12 a triangle), and the chunks or the export's mesh
-/// made of them. Measured: 80 to 100.
+/// Maximum bytes on the host for each triangle of a surface. Measured: 80 to 100, for the region meshes and the chunks or the mesh of an
+/// export that are made of them. A region mesh takes 24 bytes a vertex and 12 bytes a triangle.
 const BYTES_PER_TRIANGLE: u64 = 100;
 
-/// Limit of this process, bytes.
+/// The limit of [`limit_host_memory`], in bytes.
 static LIMIT: OnceLock<u64> = OnceLock::new();
 
-/// Limits the memory of the machine that volumes and surfaces take in this process, in bytes. To be called once, before any work.
+/// Sets the maximum bytes of this machine's memory that volumes and surfaces may take in this process. Call this once, before any work.
 pub fn limit_host_memory(bytes: u64) {
     // Only the first call counts: a second server in the same process cannot change the limit.
     let _ = LIMIT.set(bytes);
 }
 
-/// Gives unused pages of the allocator's heaps back to the system. Takes 10 to 15 ms for a hundred megabytes, during which allocations wait.
+/// Gives unused pages of the allocator's heaps back to the system. Takes 10 to 15 ms for a hundred megabytes, during which allocations
+/// wait.
 pub fn trim_heaps() {
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
     // SAFETY: the call returns unused pages of the allocator's heaps, and no pointer refers to them.
@@ -34,9 +35,9 @@ pub fn trim_heaps() {
 /// Memory of the host, in bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct HostMemory {
-    /// Bytes that the process can allocate in addition to those that it has.
+    /// Bytes that the process can allocate in addition to those that it holds.
     available: u64,
-    /// Bytes that it could take if none of it were in use.
+    /// Bytes that the process could hold if no other memory were in use.
     total: u64,
 }
 
@@ -48,17 +49,18 @@ impl HostMemory {
         limits.into_iter().flatten().fold(Self::UNKNOWN, Self::minimum)
     }
 
-    /// Bytes that the process may hold at most; `u64::MAX` if no limit is known.
+    /// Returns the maximum bytes that the process may hold; `u64::MAX` if no limit is known.
     pub(crate) fn total(self) -> u64 {
         self.total
     }
 
-    /// No limit is known: everything is admitted.
+    /// No limit is known, so everything is admitted.
     const UNKNOWN: Self = Self {
         available: u64::MAX,
         total: u64::MAX,
     };
 
+    /// Returns the memory below a limit, of which `used` bytes are in use.
     fn within(limit: u64, used: u64) -> Self {
         Self {
             available: limit.saturating_sub(used),
@@ -66,6 +68,7 @@ impl HostMemory {
         }
     }
 
+    /// Returns the stricter of two states.
     fn minimum(self, other: Self) -> Self {
         Self {
             available: self.available.min(other.available),
@@ -73,7 +76,7 @@ impl HostMemory {
         }
     }
 
-    /// Bytes that have to be freed before `needed_bytes` may be allocated.
+    /// Returns the bytes that have to be freed before `needed_bytes` may be allocated.
     pub(crate) fn missing(self, needed_bytes: u64) -> u64 {
         needed_bytes
             .saturating_add(RESERVE_BYTES)
@@ -83,7 +86,7 @@ impl HostMemory {
     /// Checks whether `needed_bytes` may be allocated.
     ///
     /// # Errors
-    /// [`WorkError::HostBusy`] if they may be later, [`WorkError::TooLargeForHost`] if they never may.
+    /// [`WorkError::HostBusy`] if there may be enough memory later, [`WorkError::TooLargeForHost`] if there will never be.
     pub fn admit(self, needed_bytes: u64) -> Result<(), WorkError> {
         if needed_bytes <= self.available.saturating_sub(RESERVE_BYTES) {
             return Ok(());
@@ -99,12 +102,13 @@ impl HostMemory {
         })
     }
 
-    /// Triangles of a surface that may be made now.
+    /// Returns the maximum triangles of a surface that may be made now.
     pub fn triangles(self) -> u64 {
         self.available.saturating_sub(RESERVE_BYTES) / BYTES_PER_TRIANGLE
     }
 
-    /// Replaces the error that a surface has too many triangles by one about memory, if memory has lowered the ceiling.
+    /// Replaces the error that a surface has too many triangles by an error about memory, if the ceiling in that error is due to the
+    /// memory. `ceiling_triangles`: the ceiling if there were enough memory.
     pub fn explain(self, error: WorkError, ceiling_triangles: u64) -> WorkError {
         match error {
             WorkError::TooManyTriangles { triangles, ceiling } if ceiling < ceiling_triangles => {

@@ -1,5 +1,5 @@
-//! Identity of full surfaces and of views. Everything that is stored about a surface is stored by one of these keys: cached pyramids and
-//! trees, counts, steps that viewers share, the surface that a client holds. Keys are compared and hashed by value; clones are cheap.
+//! Identity of full surfaces and of views. These are the keys of everything that is stored about a surface: cached pyramids and trees,
+//! counts, steps that viewers share, and the surface that a client holds. Keys are compared and hashed by value; clones are cheap.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -31,7 +31,7 @@ impl EngineId {
         self.0
     }
 
-    /// The engine of that number.
+    /// Returns the id with this number.
     pub fn of_number(number: u64) -> Self {
         Self(number)
     }
@@ -42,7 +42,7 @@ fn bits(number: f32) -> u32 {
     (number + 0.0).to_bits()
 }
 
-/// As [`bits`].
+/// As [`bits`], for 64-bit numbers.
 fn long_bits(number: f64) -> u64 {
     (number + 0.0).to_bits()
 }
@@ -73,28 +73,29 @@ impl PyramidKey {
         }
     }
 
-    /// The samples of the field that is shown.
+    /// Returns the key of the samples of the shown field.
     pub(crate) fn samples(&self) -> &VolumeKey {
         &self.crossing.samples
     }
 }
 
-/// Which parts of a full surface are left out.
+/// Rules by which parts of a full surface are left out.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 struct PartRules {
+    /// Bits of the minimum area.
     min_area: u64,
-    /// Positions that select parts. True: these parts are hidden; false: only these parts are kept.
+    /// Bits of the positions that select parts. True: these parts are hidden; false: only these parts are kept.
     chosen: Option<(bool, Vec<[u64; 3]>)>,
 }
 
 impl PartRules {
     fn new(view: &View) -> Self {
-        let all = |positions: &[[f64; 3]]| positions.iter().map(|position| position.map(long_bits)).collect();
+        let bits_of = |positions: &[[f64; 3]]| positions.iter().map(|position| position.map(long_bits)).collect();
         Self {
             min_area: long_bits(view.min_part),
             chosen: view.parts.as_ref().map(|parts| match parts {
-                ChosenPartsJson::Hide(positions) => (true, all(positions)),
-                ChosenPartsJson::Keep(positions) => (false, all(positions)),
+                ChosenPartsJson::Hide(positions) => (true, bits_of(positions)),
+                ChosenPartsJson::Keep(positions) => (false, bits_of(positions)),
             }),
         }
     }
@@ -114,7 +115,7 @@ struct SurfaceParts {
 }
 
 impl SurfaceKey {
-    /// The key of the full surface of a view of a time step, made by this engine.
+    /// Returns the key of the full surface of a view of a time step, made by this engine.
     pub fn new(engine: EngineId, volume: &VolumeStep, view: &View) -> Self {
         Self(Arc::new(SurfaceParts {
             engine,
@@ -167,7 +168,7 @@ enum GuardKey {
     At(DistanceKey),
 }
 
-/// A region of interest.
+/// A region of interest, with its numbers as bits.
 #[derive(Debug, PartialEq, Eq, Hash)]
 struct InterestKey {
     sphere: Option<[u64; 4]>,
@@ -175,8 +176,8 @@ struct InterestKey {
     importance: u32,
 }
 
-/// Identity of a resolved view: its full surface, and everything that decides how much each part of it is decimated. Colours belong to
-/// clients.
+/// Identity of a resolved view: its full surface, and everything that decides how much each part of that surface is decimated. Colours
+/// are not part of the key, because they belong to clients.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct ViewKey(Arc<ViewParts>);
 
@@ -195,7 +196,7 @@ struct ViewParts {
 }
 
 impl ViewKey {
-    /// The key of a view whose full surface has this key.
+    /// Returns the key of a view whose full surface has the key `surface`.
     pub fn new(surface: SurfaceKey, view: &View) -> Self {
         Self(Arc::new(ViewParts {
             surface,

@@ -7,7 +7,7 @@ use isopeel_geometry::TriangleSoup;
 use isopeel_kernels::{Cancel, Error, REGION_CELLS, Region, RegionVertex, Vertex, check_cancelled};
 use rayon::ThreadPool;
 
-/// How often this thread pauses for other work while it waits.
+/// Interval at which the device's thread pauses for other work while it waits for the search.
 const PAUSE_INTERVAL: Duration = Duration::from_millis(1);
 
 /// The faces at which a capped volume closes surfaces.
@@ -18,7 +18,7 @@ pub(crate) struct CapFaces {
 }
 
 impl CapFaces {
-    /// `dims`: samples along each axis, with the padding.
+    /// Returns the faces of a padded volume. `dims`: samples along each axis, including the padding.
     pub(crate) fn of_padded(dims: [u32; 3]) -> Self {
         Self {
             last: dims.map(|n| f64::from(n) - 2.0),
@@ -27,15 +27,15 @@ impl CapFaces {
 
     /// Whether a position on the lattice is less than a cell from a face.
     fn are_near(self, position: [f64; 3]) -> bool {
-        (position.iter().zip(self.last)).any(|(at, last)| {
-            let index = at / f64::from(Vertex::LATTICE);
+        (position.iter().zip(self.last)).any(|(coordinate, last)| {
+            let index = coordinate / f64::from(Vertex::LATTICE);
             index < 2.0 || index > last - 1.0
         })
     }
 }
 
 /// Returns the vertices of triangles that intersect others; with `faces`, only the vertices of pairs that have a corner near a face.
-/// Triangles are tested on the processors, on `pool` if there is one; meanwhile this thread pauses for other work.
+/// The processors test the triangles, on `pool` if there is one. Meanwhile the calling thread pauses for other work.
 ///
 /// # Errors
 /// [`Error::Cancelled`].
@@ -46,7 +46,7 @@ pub(crate) fn intersecting_vertices(
     cancel: &dyn Cancel,
 ) -> Result<Vec<RegionVertex>, Error> {
     let stop = AtomicBool::new(false);
-    let search = || find(regions, faces, &|| stop.load(Ordering::Relaxed));
+    let search = || find_vertices(regions, faces, &|| stop.load(Ordering::Relaxed));
     std::thread::scope(|scope| {
         let search = scope.spawn(|| match pool {
             Some(pool) => pool.install(search),
@@ -57,27 +57,28 @@ pub(crate) fn intersecting_vertices(
             check_cancelled(cancel).inspect_err(|_| stop.store(true, Ordering::Relaxed))?;
         }
         match search.join() {
-            Ok(found) => found.ok_or(Error::Cancelled),
+            Ok(vertices) => vertices.ok_or(Error::Cancelled),
             Err(panic) => std::panic::resume_unwind(panic),
         }
     })
 }
 
-/// Searches on the lattice, on which positions are exact. Vertices of different regions at the same position count as one.
-fn find(
+/// Searches as [`intersecting_vertices`], on the lattice, on which positions are exact. Vertices of different regions at the same position
+/// count as one. `None` if the search was cancelled.
+fn find_vertices(
     regions: &[Region],
     faces: Option<CapFaces>,
     is_cancelled: &(dyn Fn() -> bool + Sync),
 ) -> Option<Vec<RegionVertex>> {
     let (mut positions, mut triangles, mut vertices) = (Vec::new(), Vec::new(), Vec::new());
-    for (place, region) in (0u32..).zip(regions) {
+    for (region_index, region) in (0u32..).zip(regions) {
         let base = positions.len() as u32;
         let origin = region
             .coords
-            .map(|at| f64::from(at) * f64::from(REGION_CELLS as i32 * Vertex::LATTICE));
+            .map(|coordinate| f64::from(coordinate) * f64::from(REGION_CELLS as i32 * Vertex::LATTICE));
         for (number, vertex) in (0u32..).zip(&region.vertices) {
             positions.push([0, 1, 2].map(|axis| origin[axis] + f64::from(vertex.position[axis])));
-            vertices.push([place, number]);
+            vertices.push([region_index, number]);
         }
         let corners = region.indices.chunks_exact(3);
         triangles.extend(corners.map(|corner| [0, 1, 2].map(|i| base + corner[i])));
@@ -87,12 +88,12 @@ fn find(
         triangles: &triangles,
     };
     let pairs = soup.intersections(is_cancelled)?;
-    let corners_of = |pair: &[u32; 2]| pair.map(|at| triangles[at as usize]);
+    let corners_of = |pair: &[u32; 2]| pair.map(|triangle| triangles[triangle as usize]);
     let is_near = |vertex: &u32| faces.is_none_or(|faces| faces.are_near(positions[*vertex as usize]));
     let pairs = pairs.iter().map(corners_of);
-    let counted = pairs.filter(|corners| corners.as_flattened().iter().any(is_near));
-    let mut found: Vec<u32> = counted.flat_map(|corners| corners.concat()).collect();
-    found.sort_unstable();
-    found.dedup();
-    Some(found.into_iter().map(|vertex| vertices[vertex as usize]).collect())
+    let relevant = pairs.filter(|corners| corners.as_flattened().iter().any(is_near));
+    let mut corners: Vec<u32> = relevant.flat_map(|corners| corners.concat()).collect();
+    corners.sort_unstable();
+    corners.dedup();
+    Some(corners.into_iter().map(|vertex| vertices[vertex as usize]).collect())
 }

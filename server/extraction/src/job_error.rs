@@ -1,4 +1,4 @@
-//! Why a piece of work on a workspace has no result, and what has to be done before it is tried again.
+//! Why a piece of work on a workspace has no result, and what to do before the work is tried again.
 
 use isopeel_kernels::Error;
 
@@ -8,7 +8,7 @@ use super::keys::{HistogramKey, VolumeKey};
 /// Why a piece of work ended without a result.
 #[derive(Debug)]
 pub enum JobError {
-    /// Not all fields that it needs are resident: load them and try again.
+    /// Not all fields that the work needs are resident: load them and try again.
     NotResident {
         /// The fields, each with its bytes on the device.
         needed: Vec<(VolumeKey, u64)>,
@@ -17,9 +17,9 @@ pub enum JobError {
     },
     /// These histograms are not cached: make them and try again.
     NeedsHistograms(Vec<HistogramKey>),
-    /// It is too long for short work: try again as long work.
+    /// The work takes longer than short work may: try again as long work.
     TakesLong,
-    /// Trying again would not help.
+    /// The work failed, and trying again would not help.
     Failed(WorkError),
 }
 
@@ -36,9 +36,9 @@ impl From<Error> for JobError {
 }
 
 impl From<JobError> for WorkError {
-    /// For work that uses no volume: only `Failed` is expected of them.
-    fn from(halt: JobError) -> Self {
-        match halt {
+    /// Converts the error of work that uses no volume. Such work fails with `Failed` only.
+    fn from(error: JobError) -> Self {
+        match error {
             JobError::Failed(error) => error,
             JobError::NotResident { .. } | JobError::NeedsHistograms(_) | JobError::TakesLong => Self::Stopped,
         }

@@ -13,10 +13,10 @@ type Key = ([i64; 3], [i16; 2], u16, u16);
 /// Why regions cannot be joined.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum JoinError {
-    /// More vertices than 32-bit indices reach.
+    /// There are more vertices than 32-bit indices can address.
     #[error("vertices: {0}, a 32-bit index allows {max}", max = u32::MAX)]
     TooManyVertices(u64),
-    /// A region that is not consistent.
+    /// A region is not consistent.
     #[error("region {region:?}: {why}")]
     BadRegion {
         /// The region.
@@ -24,7 +24,7 @@ pub enum JoinError {
         /// What was found and what was expected.
         why: String,
     },
-    /// The caller no longer wants the result.
+    /// The caller has cancelled the work.
     #[error("cancelled")]
     Cancelled,
 }
@@ -38,8 +38,8 @@ pub struct Joined {
     pub level_triangles: [u64; 6],
 }
 
-/// Joins regions. Vertices of different regions whose attributes are all equal become one. All triangles are kept, including degenerate
-/// ones. `add` takes each vertex once, in the order of their numbers, with its position on the lattice of the whole volume:
+/// Joins regions. Vertices of different regions whose attributes are all equal become one. All triangles stay, including degenerate ones.
+/// `add` is called once for each vertex, in the order of their numbers, with the position on the lattice of the whole volume:
 /// [`Vertex::LATTICE`] units a cell, from sample (0, 0, 0). Polls `is_cancelled` for each region.
 ///
 /// # Errors
@@ -52,12 +52,12 @@ pub fn join<E: From<JoinError>>(
     let mut level_triangles = [0; 6];
     for region in regions {
         check(region)?;
-        for (sum, n) in level_triangles.iter_mut().zip(region.level_triangles) {
-            *sum += u64::from(n);
+        for (sum, count) in level_triangles.iter_mut().zip(region.level_triangles) {
+            *sum += u64::from(count);
         }
     }
-    let held: u64 = regions.iter().map(|r| r.vertices.len() as u64).sum();
-    u32::try_from(held).map_err(|_| JoinError::TooManyVertices(held))?;
+    let vertex_count: u64 = regions.iter().map(|region| region.vertices.len() as u64).sum();
+    u32::try_from(vertex_count).map_err(|_| JoinError::TooManyVertices(vertex_count))?;
     // Index of the next triangle of each level.
     let mut next = [0usize; 6];
     for level in 1..6 {
@@ -69,11 +69,11 @@ pub fn join<E: From<JoinError>>(
         if is_cancelled() {
             return Err(JoinError::Cancelled.into());
         }
-        let joined = vertices.join(region, &mut add)?;
+        let numbers = vertices.join(region, &mut add)?;
         let mut corners = region.indices.chunks_exact(3);
         for (level, &count) in region.level_triangles.iter().enumerate() {
             for corner in corners.by_ref().take(count as usize) {
-                triangles[next[level]] = [0, 1, 2].map(|i| joined[corner[i] as usize]);
+                triangles[next[level]] = [0, 1, 2].map(|i| numbers[corner[i] as usize]);
                 next[level] += 1;
             }
         }
@@ -94,14 +94,15 @@ pub struct WorldMesh {
 }
 
 impl WorldMesh {
-    /// Joins regions of a surface, for which `space` is the position of index space in the world.
+    /// Joins regions of a surface. `space`: position of the surface's index space in the world.
     ///
     /// # Errors
-    /// More vertices than 32-bit indices reach, or a region whose indices or levels do not fit its vertices and triangles.
+    /// There are more vertices than 32-bit indices can address, or the indices or levels of a region do not match its vertices and
+    /// triangles.
     pub fn new(regions: &[Region], space: &IndexSpace) -> Result<Self, JoinError> {
         let mut positions = Vec::new();
         let joined = join(regions, &|| false, |lattice, _| {
-            let index = DVec3::from(lattice.map(|at| at as f64)) / f64::from(Vertex::LATTICE);
+            let index = DVec3::from(lattice.map(|coordinate| coordinate as f64)) / f64::from(Vertex::LATTICE);
             positions.push(space.world(index).to_array());
             Ok::<_, JoinError>(())
         })?;
@@ -116,15 +117,16 @@ impl WorldMesh {
 /// The vertices that were joined so far.
 #[derive(Default)]
 struct Vertices {
+    /// Number of vertices so far, which is the number of the next vertex.
     count: u32,
     /// Keys of the vertices that lie outside the region that lists them. Another region may list the same vertex inside.
     outside: FxHashSet<Key>,
-    /// Maximum distance of such a vertex from its region, lattice units. A vertex farther inside its region is in no other one, and is not
-    /// looked up. Of those nearer to the faces, only vertices on a face or in `outside` are.
+    /// Maximum distance of a vertex in `outside` from its region, lattice units. A vertex that is farther inside its region is in no other
+    /// region, and so is not looked up. Of the vertices nearer to the faces, only those on a face or in `outside` are looked up.
     overhang: i32,
-    /// Number of the first vertex with a key, and of further ones of the same region.
+    /// Numbers of the vertices that regions may share, by their keys and the numbers of their copies. See [`Vertices::join`].
     shared: FxHashMap<(Key, u32), u32>,
-    /// Vertices with a key in the current region.
+    /// For each key in the current region, the number of its last copy.
     copies: FxHashMap<Key, u32>,
     /// Numbers of the current region's vertices.
     joined: Vec<u32>,
@@ -164,9 +166,9 @@ impl Vertices {
             let index = if inside > self.overhang || (inside > 0 && !self.outside.contains(&key)) {
                 new
             } else {
-                // Equal vertices of one region are not joined: they are crossings on several edges of a sample that the surface passes
-                // through. The first copy is joined with the first copies of other regions, the second with the second, and so on.
-                let copy = self.copies.entry(key).and_modify(|n| *n += 1).or_insert(0u32);
+                // Equal vertices of one region are not joined, because they are crossings on several edges of a sample that the surface
+                // passes through. The first copy is joined with the first copies of other regions, the second with the second, and so on.
+                let copy = self.copies.entry(key).and_modify(|copy| *copy += 1).or_insert(0u32);
                 *self.shared.entry((key, *copy)).or_insert(new)
             };
             if index == new {
@@ -179,16 +181,18 @@ impl Vertices {
     }
 }
 
-/// Returns how far a vertex lies inside its region's faces, lattice units; negative if it lies outside.
+/// Returns the distance of a vertex from the nearest face of its region, in lattice units; negative if the vertex is outside the region.
 fn distance_inside(vertex: &Vertex) -> i32 {
-    let [x, y, z] = vertex.position.map(|p| p.min(REGION_LATTICE - p));
+    let [x, y, z] = vertex
+        .position
+        .map(|coordinate| coordinate.min(REGION_LATTICE - coordinate));
     x.min(y).min(z)
 }
 
 fn key(region: &Region, vertex: &Vertex) -> Key {
-    let at =
+    let coordinate =
         |axis: usize| i64::from(region.coords[axis]) * i64::from(REGION_LATTICE) + i64::from(vertex.position[axis]);
-    let position = [at(0), at(1), at(2)];
+    let position = [coordinate(0), coordinate(1), coordinate(2)];
     (position, vertex.normal, vertex.smoothness, vertex.feature)
 }
 
@@ -200,7 +204,7 @@ fn check(region: &Region) -> Result<(), JoinError> {
             why,
         })
     };
-    let levels: u64 = region.level_triangles.iter().map(|&n| u64::from(n)).sum();
+    let levels: u64 = region.level_triangles.iter().map(|&count| u64::from(count)).sum();
     if region.indices.len() as u64 != 3 * levels {
         return bad(format!(
             "{} indices, expected 3 for each of {levels} triangles",

@@ -13,16 +13,16 @@ use super::WorkError;
 /// them.
 pub const ALWAYS_DESCRIBED: &[DerivedFeature] = &[DerivedFeature::GradientMagnitude];
 
-/// One time step of one field, padded by a sample on every side or not.
+/// Key of a volume: a field at a time step, as it is on the device.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct VolumeKey {
     /// The time step and its revision.
     pub step: StepKey,
     /// Name of the field, or an expression.
     pub field: String,
-    /// Whether the samples are padded before they go to the device.
+    /// Whether one sample is added on every side before the samples go to the device.
     pub padded: bool,
-    /// Samples outside the mask are missing.
+    /// The mask, if there is one. Samples outside the mask count as missing.
     pub mask: Option<Mask>,
 }
 
@@ -52,7 +52,7 @@ impl VolumeKey {
         Ok(Some((mask.clone(), labels)))
     }
 
-    /// Bytes of a sample on the device, or more: a mask may need a wider type.
+    /// Returns the maximum bytes of a sample on the device: a mask may need a wider type than the field.
     pub fn sample_bytes(&self, volume: &VolumeStep) -> Result<usize, WorkError> {
         let field = self.field_of(volume)?;
         let bytes = field.sample_type.bytes();
@@ -78,8 +78,8 @@ impl VolumeKey {
         self.recipe(volume).is_some()
     }
 
-    /// Returns how the device computes this field from others, and the keys of its inputs. `None` if the host computes or reads it:
-    /// padded and smoothed fields are computed on the host.
+    /// Returns how the device computes this field from others, and the keys of its inputs. `None` if the host reads the
+    /// field, or computes it because it is padded or smoothed.
     pub(crate) fn recipe(&self, volume: &VolumeStep) -> Option<(Recipe, Vec<Self>)> {
         if self.padded {
             return None;
@@ -89,17 +89,21 @@ impl VolumeKey {
             let keys = [&self.field, &mask.field].map(|name| Self::new(volume, name, false));
             return Some((Recipe::Mask(mask, labels), keys.to_vec()));
         }
-        let found = fields::parse_expression(volume.dataset(), &self.field)?;
-        if found.smoothing.is_some() {
+        let parsed = fields::parse_expression(volume.dataset(), &self.field)?;
+        if parsed.smoothing.is_some() {
             return None;
         }
-        let keys = found.fields.iter().map(|name| Self::new(volume, name, false)).collect();
-        Some((Recipe::Expression(found), keys))
+        let keys = parsed
+            .fields
+            .iter()
+            .map(|name| Self::new(volume, name, false))
+            .collect();
+        Some((Recipe::Expression(parsed), keys))
     }
 }
 
 impl VolumeKey {
-    /// The error that no sample is inside, so that there are no distances.
+    /// Returns the error that no sample is inside, so that there are no distances.
     pub(crate) fn nothing_inside(&self) -> EditError {
         EditError {
             field: "feature",
@@ -122,9 +126,9 @@ pub(crate) enum Recipe {
 /// Whether fields are masked on the device or on the host.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Masking {
-    /// On the device, which has the field and the labels too.
+    /// On the device, on which the field and the labels are resident too.
     OnDevice,
-    /// On the host, while both are read.
+    /// On the host, which reads the field and the labels.
     OnHost,
 }
 
@@ -134,10 +138,10 @@ pub(crate) fn values_inside(mask: &Mask, labels: &Field) -> ValueSet {
     mask.by_ranks(|number| Some(ranks.as_ref()?.position(number))).values()
 }
 
-/// Returns the keys and the keys of all inputs from which the device makes these fields. Each key occurs once, and inputs come before the
-/// fields made from them.
+/// Returns `keys` with the keys of all inputs from which the device makes these fields. Each key occurs once, and inputs come before the
+/// fields that are made from them.
 pub fn with_inputs(volume: &VolumeStep, keys: &[VolumeKey], masking: Masking) -> Vec<VolumeKey> {
-    let mut all: Vec<VolumeKey> = Vec::new();
+    let mut ordered: Vec<VolumeKey> = Vec::new();
     for key in keys {
         let inputs = match key.recipe(volume) {
             Some((Recipe::Mask(..), _)) if masking == Masking::OnHost => Vec::new(),
@@ -145,15 +149,15 @@ pub fn with_inputs(volume: &VolumeStep, keys: &[VolumeKey], masking: Masking) ->
             None => Vec::new(),
         };
         for key in inputs.into_iter().chain([key.clone()]) {
-            if !all.contains(&key) {
-                all.push(key);
+            if !ordered.contains(&key) {
+                ordered.push(key);
             }
         }
     }
-    all
+    ordered
 }
 
-/// Keys of the fields that a feature is made of, each once.
+/// Returns the keys of the fields of which a feature is made, each once.
 pub(crate) fn feature_keys(volume: &VolumeStep, shown: &str, feature: &FeatureName, padded: bool) -> Vec<VolumeKey> {
     let mut keys: Vec<VolumeKey> = Vec::new();
     for name in feature.fields(shown) {
@@ -165,29 +169,32 @@ pub(crate) fn feature_keys(volume: &VolumeStep, shown: &str, feature: &FeatureNa
     keys
 }
 
-/// Keys of the fields that a view's surface is made of, each once, the shown one first.
+/// Returns the keys of the fields of which a view's surface is made, each once. The shown field comes first.
 pub fn view_keys(volume: &VolumeStep, view: &View) -> Vec<VolumeKey> {
     let mut keys = vec![VolumeKey::shown(volume, view, view.cap)];
-    // A feature derived from the shown field needs no other field, whether that is masked or not.
+    // A feature derived from the shown field needs no other field, whether the shown field is masked or not.
     if !matches!(view.feature, FeatureName::Derived(_)) {
-        let of_feature = feature_keys(volume, &view.field, &view.feature, view.cap);
-        let others = of_feature.into_iter().filter(|key| *key != keys[0]).collect::<Vec<_>>();
+        let feature_keys = feature_keys(volume, &view.field, &view.feature, view.cap);
+        let others = feature_keys
+            .into_iter()
+            .filter(|key| *key != keys[0])
+            .collect::<Vec<_>>();
         keys.extend(others);
     }
     keys
 }
 
-/// A histogram: of a field, or of a feature computed from it or from three fields.
+/// Key of a histogram: of a field, or of a feature that is computed from one field or from three.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct HistogramKey {
     /// Key of the field; of a feature of three fields, the key of the first one.
     pub volume: VolumeKey,
-    /// The feature, or none for the field's own samples. Never the name of a field: such a feature has that field's histogram.
+    /// The feature, or `None` for the field's own samples. Never a field: the histogram of such a feature is that of the field itself.
     pub computed: FeatureName,
 }
 
 impl HistogramKey {
-    /// Returns the key for a feature of `field`. If the feature is itself a field, its key is that field's, whichever field is shown.
+    /// Returns the key for a feature of `field`. If the feature is itself a field, returns the key for that field.
     pub fn new(volume: &VolumeStep, field: &str, feature: &FeatureName) -> Self {
         let computed = match feature {
             FeatureName::None | FeatureName::Field(_) => FeatureName::None,

@@ -1,13 +1,13 @@
 //! The engine as a library: extracts surfaces from a volume and a view.
 //!
-//! A [`Workspace`] holds a device, the fields that are resident on it, and cached data of earlier edits. It may move to another thread. Each
-//! piece of work ends with a result or a [`JobError`], which says what to do before it is retried, such as loading fields. A server does
-//! that between other work; [`Workspace::run_to_completion`] does it at once, for programs that have the device for themselves.
+//! A [`Workspace`] holds a device, the fields that are resident on it, and cached data of earlier edits. It may move to another thread.
+//! Each piece of work ends with a result or a [`JobError`], which says what to do before the work is retried, such as loading fields. A
+//! server does so between other work; [`Workspace::run_to_completion`] does so at once, for programs that have the device for themselves.
 //!
 //! - Workspace: `workspace` holds the resident data in caches (`residency`, `cuts`, `histogram_cache`) by keys (`keys`, `identity`).
 //!   `context`: cancellation and pauses of a piece of work. `job_error`, `error`: its errors. `observer`: counters and timers. `complete`
 //!   runs work and loads what it needs. `user_time`: device time that the computed fields of each user have taken.
-//! - `requests`: what a server asks a workspace for, as data.
+//! - `requests`: requests of a server to a workspace, as data.
 //! - Fields: `reading` reads them, `uploads` sends them to the device, on `grids`; `ahead` does so for time steps that a viewer may reach
 //!   next; `release` frees those of a time step. `pins`: fields that must stay resident. `open_steps`: time steps that viewers have open.
 //!   `computed` and `fields` compute fields from others, on the device and on the host. `dataset_views`: the initial view of a dataset.
@@ -15,9 +15,9 @@
 //!   evictions that make space for them.
 //! - Cuts: `cube_cuts` and `tree_surfaces` cut cubes and the vertex tree for a view; `decisions`: the outcome if an error or a budget
 //!   decides. `byte_search` fits a budget of bytes. `intersections`: places at which a surface is refined.
-//! - Surfaces: `on_device`: a view on the device, with its feature (`feature_fields`). `final_surfaces`: its surface and error. `refine` and
-//!   `tree_steps`: steps from the shown surface to the final one, within limits on bytes that `chunk_bytes` estimates. `results`, `statistics`:
-//!   results. `joined`: a surface as one mesh.
+//! - Surfaces: `on_device`: a view on the device, with its feature (`feature_fields`). `final_surfaces`: its surface and error. `refine`
+//!   and `tree_steps`: steps from the shown surface to the final one, within limits on bytes that `chunk_bytes` estimates. `results`,
+//!   `statistics`: results. `joined`: a surface as one mesh.
 //! - Queries: `counting`: the triangles of a full surface, before it is made. `questions`: queries on a surface. `histograms`: ranges and
 //!   histograms. `overviews`: fields at a low resolution. `slices`: planes of samples.
 //!

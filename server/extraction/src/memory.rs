@@ -33,9 +33,9 @@ pub struct MemoryUse {
 /// Memory that a workspace accounts for, in bytes.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct WorkspaceMemory {
-    /// What the engine has allocated.
+    /// Memory that the engine has allocated.
     pub device: DeviceMemory,
-    /// Volumes, with those that are being uploaded.
+    /// Volumes, including those that are being uploaded.
     pub volumes: u64,
     /// Pyramids.
     pub pyramids: u64,
@@ -43,11 +43,11 @@ pub struct WorkspaceMemory {
     pub trees: u64,
     /// Cuts.
     pub cuts: u64,
-    /// The process's memory when the device was ready.
+    /// Memory of the process when the device was ready.
     pub program: u64,
 }
 
-/// Returns the bytes that the operating system holds for the process; 0 if it does not report them.
+/// Returns the bytes of physical memory that the process holds; 0 if the operating system does not report them.
 pub fn resident_bytes() -> u64 {
     memory_stats::memory_stats().map_or(0, |memory| memory.physical_mem as u64)
 }
@@ -55,9 +55,9 @@ pub fn resident_bytes() -> u64 {
 impl WorkspaceMemory {
     /// Returns the memory by purpose, with the resident memory of the process as it is now.
     pub fn stated(self, kind: DeviceKind) -> MemoryUse {
-        let kept = self.volumes + self.pyramids + self.trees + self.cuts;
+        let accounted = self.volumes + self.pyramids + self.trees + self.cuts;
         MemoryUse {
-            other_device_bytes: self.device.in_use.saturating_sub(kept),
+            other_device_bytes: self.device.in_use.saturating_sub(accounted),
             volume_bytes: self.volumes,
             pyramid_bytes: self.pyramids,
             tree_bytes: self.trees,

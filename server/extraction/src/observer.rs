@@ -1,8 +1,8 @@
-//! What a workspace tells about its work, for counters and timers.
+//! The interface through which a workspace reports events, for counters and timers.
 
 /// Observes the work of a workspace. Calls come from the thread that uses the workspace.
 pub trait Observer {
-    /// Something was looked up in the cache of this name.
+    /// An entry was looked up in the cache of this name.
     fn looked_up(&self, cache: &'static str, is_hit: bool);
 
     /// A stage of a surface took this time on the device.

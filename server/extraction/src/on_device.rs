@@ -1,4 +1,4 @@
-//! A view on the device: what work on its surface uses.
+//! A view on the device, with the data that work on its surface uses.
 
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
@@ -18,7 +18,7 @@ use super::job_error::JobError;
 use super::observer::Observer;
 use super::workspace::{Trees, Workspace};
 
-/// What a job on a view uses on the device: its volume, its pyramid and the caches.
+/// The data that a job on a view uses on the device: volume, pyramid and caches.
 pub(crate) struct OnDevice<'a> {
     pub engine: &'a Engine,
     /// `cuts` and `trees` are locked for one statement only: other jobs lock them in a pause, on the same thread.
@@ -38,7 +38,7 @@ pub(crate) struct OnDevice<'a> {
     pub long_work: Option<&'a ThreadPool>,
     /// Parameters of the view as it was before the job.
     pub params: CutParams,
-    /// Smallest spacing: the unit of lengths on the device, world units.
+    /// The smallest spacing, in world units. It is the unit of lengths on the device.
     pub smallest: f64,
     pub index_space: IndexSpace,
 }
@@ -55,8 +55,8 @@ impl OnDevice<'_> {
         self.job_times.own_time(start)
     }
 
-    /// Completes the surface's stages with those of the job before its last pause. If the job has built the pyramid, the pyramid's stages
-    /// come first.
+    /// Adds the stages of the job before its last pause to the surface's stages. If the job has built the pyramid, the pyramid's stages
+    /// come first. Reports all stages to the observer.
     pub(crate) fn with_all_stages(&self, mut surface: Surface) -> Surface {
         let stages = &mut surface.statistics.stages;
         self.job_times.complete(stages);
@@ -107,6 +107,7 @@ impl Workspace {
         }
     }
 
+    /// As [`Workspace::with_pyramid`], without a retry.
     fn try_with_pyramid<T>(
         &mut self,
         volume: &VolumeStep,
@@ -132,7 +133,7 @@ impl Workspace {
         let is_cached = self
             .pyramids
             .get(&key)
-            .is_some_and(|kept| cells_suffice || kept.is_whole());
+            .is_some_and(|cached| cells_suffice || cached.is_whole());
         self.observer.looked_up("pyramid", is_cached);
         let (engine, cuts, trees) = (self.shared_engine(), Arc::clone(&self.cuts), Arc::clone(&self.trees));
         let (observer, long_work) = (Arc::clone(&self.observer), self.long_work.clone());
@@ -145,14 +146,14 @@ impl Workspace {
                 true => engine.build_cells(&shown_volume, feature.get(), iso, cancel),
                 false => engine.build_pyramid(&shown_volume, feature.get(), iso, cancel),
             })?;
-            // In a pause, another job may have cached the whole pyramid and a tree of it: keep those.
-            if self.pyramids.peek(&key).is_none_or(|kept| !kept.is_whole()) {
+            // In a pause, another job may have cached the whole pyramid and its tree, which must not be replaced.
+            if self.pyramids.peek(&key).is_none_or(|cached| !cached.is_whole()) {
                 self.pyramids
                     .insert(key.clone(), pyramid.device_bytes(), Arc::new(pyramid));
             }
         }
         let pyramid = self.pyramids.peek(&key).map(Arc::clone).ok_or(WorkError::Stopped)?;
-        let on = OnDevice {
+        let job = OnDevice {
             engine: &engine,
             cuts: &cuts,
             trees: &trees,
@@ -168,6 +169,6 @@ impl Workspace {
             smallest,
             index_space,
         };
-        context.run(self, &take_times, &job_times, |cancel| work(&on, view, cancel))
+        context.run(self, &take_times, &job_times, |cancel| work(&job, view, cancel))
     }
 }

@@ -1,4 +1,4 @@
-//! Time steps that viewers have open: reading ahead evicts none of their fields.
+//! Time steps that viewers have open. Read-ahead evicts none of their fields.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex};
@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex};
 use isopeel_kernels::lock;
 use isopeel_volumes::StepKey;
 
-/// Number of viewers that have each time step open. Steps without viewers have no entry. Clones share it.
+/// Number of viewers that have each time step open. Steps without viewers have no entry. Clones share the numbers.
 #[derive(Clone, Default)]
 pub struct OpenSteps(Arc<Mutex<HashMap<StepKey, usize>>>);
 

@@ -1,5 +1,4 @@
-//! Volumes that must stay on the device: they are not evicted meanwhile, so that two viewers of different volumes do not evict each other's
-//! volumes.
+//! Pins keep volumes on the device. A pinned volume is not evicted, so two viewers of different volumes do not evict each other's volumes.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex};
@@ -16,7 +15,7 @@ pub struct Pins {
 
 #[derive(Default)]
 struct Shared {
-    /// Bytes of each pinned volume, and its number of pins.
+    /// Bytes and number of pins of each pinned volume.
     pinned: Mutex<HashMap<VolumeKey, (u64, usize)>>,
     /// Called after pins were released.
     on_release: Option<Box<dyn Fn() + Send + Sync>>,
@@ -39,16 +38,16 @@ impl Pins {
         }
     }
 
-    /// Pins volumes of these sizes, all at once, if they fit into `budget` bytes beside those that are pinned; volumes larger than the
-    /// budget are pinned if no other volumes are pinned. `None` if other pins would have to be released first.
+    /// Pins volumes of these sizes in bytes, all or none. They are pinned if they fit into `budget` bytes beside the other pinned volumes,
+    /// or if no other volumes are pinned. `None` if other pins must be released first.
     pub fn try_pin(&self, volumes: &[(VolumeKey, u64)], budget: u64) -> Option<Pinned> {
         let mut pinned = lock(&self.shared.pinned);
-        let others: u64 = (pinned.iter())
-            .filter(|(key, _)| volumes.iter().all(|(new, _)| new != *key))
+        let other_bytes: u64 = (pinned.iter())
+            .filter(|(key, _)| volumes.iter().all(|(requested, _)| requested != *key))
             .map(|(_, (bytes, _))| bytes)
             .sum();
-        let own: u64 = volumes.iter().map(|(_, bytes)| bytes).sum();
-        if others > 0 && others.saturating_add(own) > budget {
+        let requested_bytes: u64 = volumes.iter().map(|(_, bytes)| bytes).sum();
+        if other_bytes > 0 && other_bytes.saturating_add(requested_bytes) > budget {
             return None;
         }
         for (key, bytes) in volumes {
@@ -60,7 +59,7 @@ impl Pins {
         })
     }
 
-    /// Whether a volume must stay.
+    /// Whether a volume is pinned.
     pub fn holds(&self, key: &VolumeKey) -> bool {
         lock(&self.shared.pinned).contains_key(key)
     }

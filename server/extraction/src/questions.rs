@@ -1,5 +1,5 @@
-//! Queries on the current surface of a viewer: probe of a position, distribution of the values of its leaves, curve of the error over the
-//! number of triangles. They do not make the surface again.
+//! Queries on the current surface of a viewer: the probe of a position, the distribution of a feature over the leaves, the curve of the
+//! error over the number of triangles, and the errors of vertices. Only the last one makes the surface again.
 
 mod answers;
 
@@ -27,19 +27,19 @@ pub use answers::{
 
 const _: () = assert!(CURVE_POINTS == 32 && MAX_BINS == 256, "PROTOCOL.md says so");
 
-/// Distance outside the volume up to which a position counts as on its face, cells: allows for rounding.
+/// Maximum distance in cells at which a position outside the volume counts as on its face, to allow for rounding.
 const FACE_CELLS: f64 = 1e-3;
 
 /// A question about a surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Question {
-    /// What is at this position of the world?
+    /// Which values and which surface are at this position of the world?
     Probe([f64; 3]),
     /// How are values distributed, in this number of bins?
     Distribution(u32),
-    /// How do error and triangles depend on each other?
+    /// How does the error depend on the number of triangles?
     Curve,
-    /// How far is each vertex from the isosurface, or what is around it?
+    /// How far from the isosurface is each vertex, or the farthest point of the mesh around each vertex?
     VertexErrors(DistanceOf),
 }
 
@@ -71,7 +71,7 @@ impl Question {
 }
 
 impl Workspace {
-    /// Answers a question about the surface that is shown; if none is, a probe is answered for the volume alone.
+    /// Answers a question about the surface that is shown. If no surface is shown, a probe is answered for the volume alone.
     ///
     /// # Errors
     /// [`WorkError::NothingShown`], and those of [`Workspace::refine`].
@@ -86,25 +86,28 @@ impl Workspace {
             (Question::Probe(position), shown) => Ok(Answer::Probe(self.probe(volume, shown, position, context)?)),
             (_, None) => Err(WorkError::NothingShown.into()),
             (Question::Distribution(bins), Some(shown)) => {
-                let counts = self.of_shown(volume, shown, context, |on, params, cut, _| {
-                    let counts = on.engine.distribution(on.volume, on.pyramid, params, cut, bins)?;
+                let counts = self.with_shown_cut(volume, shown, context, |job, params, cut, _| {
+                    let counts = job.engine.distribution(job.volume, job.pyramid, params, cut, bins)?;
                     Ok((kind_of(cut), counts))
                 })?;
                 Ok(Answer::Distribution(distribution(counts)))
             }
-            (Question::VertexErrors(of), Some(shown)) => {
-                Ok(Answer::VertexErrors(self.vertex_errors(volume, shown, of, context)?))
-            }
+            (Question::VertexErrors(distance_of), Some(shown)) => Ok(Answer::VertexErrors(self.vertex_errors(
+                volume,
+                shown,
+                distance_of,
+                context,
+            )?)),
             (Question::Curve, Some(shown)) => {
                 let by_error = shown.view.is_by_error();
-                let curve = self.of_shown(volume, shown, context, |on, params, cut, cancel| {
+                let curve = self.with_shown_cut(volume, shown, context, |job, params, cut, cancel| {
                     // If the full surface is within the budget, nothing has been merged.
                     let tolerance = by_error.then(|| params.tolerance.unwrap_or(0.0));
                     let params = CutParams {
                         tolerance,
                         ..params.clone()
                     };
-                    let points = on.engine.error_curve(on.volume, on.pyramid, &params, cut, cancel)?;
+                    let points = job.engine.error_curve(job.volume, job.pyramid, &params, cut, cancel)?;
                     Ok((kind_of(cut), points))
                 })?;
                 let (kind, points) = curve;
@@ -119,6 +122,7 @@ impl Workspace {
         }
     }
 
+    /// Returns the values of all fields at a position of the world, and the vertex of the surface that is nearest to it.
     fn probe(
         &mut self,
         volume: &VolumeStep,
@@ -136,22 +140,24 @@ impl Workspace {
         };
         let nearest = match shown {
             None => None,
-            Some(shown) => self.of_shown(volume, shown, context, |on, params, cut, _| {
+            Some(shown) => self.with_shown_cut(volume, shown, context, |job, params, cut, _| {
                 let view = &shown.view;
-                let found = on.engine.probe(on.volume, on.pyramid, params, index, Some(cut))?;
-                Ok(found.map(|found| NearestSurface {
-                    distance: in_world(found.distance, on.smallest),
-                    smoothness: found.smoothness,
-                    feature: view.feature.range_in_world([found.feature; 2], on.smallest)[0],
-                    blended: found.blended,
-                    importance: found.importance,
-                    leaf: found.leaf.map(|leaf| NearestLeaf {
+                let nearest = job.engine.probe(job.volume, job.pyramid, params, index, Some(cut))?;
+                Ok(nearest.map(|nearest| NearestSurface {
+                    distance: in_world(nearest.distance, job.smallest),
+                    smoothness: nearest.smoothness,
+                    feature: view.feature.range_in_world([nearest.feature; 2], job.smallest)[0],
+                    blended: nearest.blended,
+                    importance: nearest.importance,
+                    leaf: nearest.leaf.map(|leaf| NearestLeaf {
                         kind: kind_of(cut),
                         level: leaf.level,
-                        error: in_world(leaf.error, on.smallest),
+                        error: in_world(leaf.error, job.smallest),
                     }),
-                    part: found.part.map(|part| part.number),
-                    part_area: found.part.map(|part| in_world(part.area, on.smallest * on.smallest)),
+                    part: nearest.part.map(|part| part.number),
+                    part_area: nearest
+                        .part
+                        .map(|part| in_world(part.area, job.smallest * job.smallest)),
                 }))
             })?,
         };
@@ -168,30 +174,31 @@ impl Workspace {
         &mut self,
         volume: &VolumeStep,
         shown: &ShownSurface,
-        of: DistanceOf,
+        distance_of: DistanceOf,
         context: &mut JobContext<'_, Self>,
     ) -> Result<Vec<VertexErrors>, JobError> {
         let mut view = shown.view.clone();
-        self.with_pyramid(volume, &mut view, Nodes::All, context, |on, view, cancel| {
+        self.with_pyramid(volume, &mut view, Nodes::All, context, |job, view, cancel| {
             let is_tree_cut = view.is_by_error() && view.fitted.is_some_and(|fitted| fitted.is_tree_cut);
-            let of_tree = match is_tree_cut {
-                true => on.tree_surface(&mut view.clone(), u64::MAX, false, cancel)?,
+            let tree_cut = match is_tree_cut {
+                true => job.tree_surface(&mut view.clone(), u64::MAX, false, cancel)?,
                 false => TreeCut::NoTree,
             };
-            let surface = match of_tree {
+            let surface = match tree_cut {
                 TreeCut::Made(surface) => surface,
                 TreeCut::Refused(_) | TreeCut::NoTree => {
-                    let (params, cut) = (on.params_of(view), on.cut_of(shown.cut, view)?);
-                    on.engine.surface(on.volume, on.pyramid, &params, &cut, None, cancel)?
+                    let (params, cut) = (job.params_of(view), job.cut_of(shown.cut, view)?);
+                    job.engine
+                        .surface(job.volume, job.pyramid, &params, &cut, None, cancel)?
                 }
             };
             let regions = surface.regions;
-            let distances = on
+            let distances = job
                 .engine
-                .vertex_distances(on.volume, on.pyramid, &regions, of, cancel)?;
-            let both = regions.into_iter().zip(distances);
-            let in_world = |length| in_world(length, on.smallest);
-            Ok(both
+                .vertex_distances(job.volume, job.pyramid, &regions, distance_of, cancel)?;
+            let pairs = regions.into_iter().zip(distances);
+            let in_world = |length| in_world(length, job.smallest);
+            Ok(pairs
                 .map(|(region, distances)| VertexErrors {
                     region,
                     distances: distances.into_iter().map(in_world).collect(),
@@ -200,7 +207,7 @@ impl Workspace {
         })
     }
 
-    /// Returns the value of every field at a position of index space. Does not load fields for this.
+    /// Returns the value of every field at a position of index space. Does not load fields that are not resident.
     fn values_at(&self, volume: &VolumeStep, index: [f32; 3]) -> Result<Vec<FieldValue>, JobError> {
         let fields = volume.dataset().fields.iter().map(|field| {
             let value = match self.resident(&VolumeKey::new(volume, &field.name, false)) {
@@ -219,8 +226,9 @@ impl Workspace {
         fields.collect()
     }
 
-    /// Runs `work` with the cut of a surface that is shown, and the parameters of its view. If the cut was evicted, makes it again.
-    fn of_shown<T>(
+    /// Runs `work` with the cut of a surface that is shown, and the parameters of the surface's view. If the cut was evicted, makes it
+    /// again.
+    fn with_shown_cut<T>(
         &mut self,
         volume: &VolumeStep,
         shown: &ShownSurface,
@@ -228,29 +236,29 @@ impl Workspace {
         work: impl Fn(&OnDevice<'_>, &CutParams, &ShownCut<'_>, &dyn Cancel) -> Result<T, JobError>,
     ) -> Result<T, JobError> {
         let mut view = shown.view.clone();
-        self.with_pyramid(volume, &mut view, Nodes::All, context, |on, view, cancel| {
-            let params = on.params_of(view);
+        self.with_pyramid(volume, &mut view, Nodes::All, context, |job, view, cancel| {
+            let params = job.params_of(view);
             if view.is_by_error()
                 && view.fitted.is_some_and(|fitted| fitted.is_tree_cut)
-                && let Some(tree) = on.tree(view, &params, cancel)?
+                && let Some(tree) = job.tree(view, &params, cancel)?
             {
-                let goal = on.tree_goal(view, &tree, &params, cancel)?;
-                let (engine, volume, pyramid) = (on.engine, on.volume, on.pyramid);
+                let goal = job.tree_goal(view, &tree, &params, cancel)?;
+                let (engine, volume, pyramid) = (job.engine, job.volume, job.pyramid);
                 let cut = engine.shown_tree_cut(volume, pyramid, &tree, &params, &goal, cancel)?;
-                let answer = work(on, &params, &cut, cancel)?;
-                on.keep_tree(&tree);
+                let answer = work(job, &params, &cut, cancel)?;
+                job.cache_tree(&tree);
                 return Ok(answer);
             }
-            work(on, &params, &ShownCut::Cubes(&*on.cut_of(shown.cut, view)?), cancel)
+            work(job, &params, &ShownCut::Cubes(&*job.cut_of(shown.cut, view)?), cancel)
         })
     }
 }
 
 impl OnDevice<'_> {
-    /// Returns the cut of cubes that is shown; if it was evicted, makes the cut of its view.
+    /// Returns the cut of cubes that is shown. If the cut was evicted, makes it again from its view.
     fn cut_of(&self, id: CutId, view: &View) -> Result<Arc<Cut>, JobError> {
-        let kept = lock(self.cuts).get(id).filter(|cut| cut.is_of(self.pyramid));
-        match kept {
+        let cached = lock(self.cuts).get(id).filter(|cut| cut.is_of(self.pyramid));
+        match cached {
             Some(cut) => Ok(cut),
             None => {
                 let params = self.params_of(view);

@@ -1,4 +1,4 @@
-//! Reads fields, piece by piece, as they go to the device.
+//! Reads fields in the pieces in which they are sent to the device.
 
 use isopeel_kernels::{DeviceKind, Samples};
 use isopeel_view::Mask;
@@ -7,9 +7,9 @@ use isopeel_volumes::{Field, FileLocation, FileStamp, PIECE_SAMPLES, ReadError, 
 use super::keys::{VolumeKey, values_inside};
 use super::{WorkError, fields};
 
-/// Copies in memory of a field that is not sent in pieces: the samples as read, as masked or padded, and as sent to the device.
+/// Number of copies in memory of a field that is not sent in pieces: the samples as read, as masked or padded, and as sent to the device.
 const WHOLE_COPIES: u64 = 3;
-/// Pieces in memory: one is being read, one waits, one is being sent to the device.
+/// Number of pieces in memory: one is being read, one waits, and one is being sent to the device.
 const HELD_PIECES: u64 = 3;
 
 /// The next samples of a field, and the value of missing ones, which is the same in all pieces.
@@ -20,28 +20,29 @@ pub struct Piece {
     pub missing: Option<f32>,
 }
 
-/// Returns the bytes of the host's memory that a field takes while it is read, with those of the device if its memory is the host's.
+/// Returns the bytes of the host's memory that a field takes while it is read. Includes the samples on the device if the device uses the
+/// host's memory.
 ///
 /// # Errors
 /// There is no such field.
 pub fn bytes_while_read(volume: &VolumeStep, key: &VolumeKey, device: DeviceKind) -> Result<u64, WorkError> {
     let samples = volume.dataset().geometry.sample_count();
-    let held = if key.padded || key.mask.is_some() {
-        // For a computed field, its inputs are held too.
+    let samples_on_host = if key.padded || key.mask.is_some() {
+        // The inputs of a computed field are in memory too.
         let inputs =
-            fields::parse_expression(volume.dataset(), &key.field).map_or(0, |found| found.fields.len() as u64);
+            fields::parse_expression(volume.dataset(), &key.field).map_or(0, |parsed| parsed.fields.len() as u64);
         samples.saturating_mul(WHOLE_COPIES + inputs)
     } else {
         samples.min(HELD_PIECES * PIECE_SAMPLES as u64)
     };
-    let on_device = if device == DeviceKind::Cpu { samples } else { 0 };
-    Ok((held.saturating_add(on_device)).saturating_mul(key.sample_bytes(volume)? as u64))
+    let samples_on_device = if device == DeviceKind::Cpu { samples } else { 0 };
+    Ok((samples_on_host.saturating_add(samples_on_device)).saturating_mul(key.sample_bytes(volume)? as u64))
 }
 
-/// Maximum files of a time step whose stamps are compared before and after reading.
+/// Maximum number of files whose stamps are compared before and after reading a time step.
 const MAX_STAMPS: usize = 4096;
 
-/// The files that a field and its mask are read from, with their stamps.
+/// Returns the files from which a field and its mask are read, with their stamps.
 fn stamps(volume: &VolumeStep, key: &VolumeKey) -> Vec<(FileLocation, Option<FileStamp>)> {
     let field = key.field_of(volume).ok();
     let labels = key.mask_of(volume).ok().flatten().map(|(_, labels)| labels);
@@ -86,8 +87,8 @@ pub fn read(
     }
 }
 
-/// As [`read`], whatever happens to the files meanwhile. A padded field is held as a whole, because the padding is below its minimum; so is
-/// a masked one, because no sample may have the value of missing ones.
+/// As [`read`], without a check whether the files change meanwhile. A padded field is read as a whole, because the value of the padding
+/// must be below the field's minimum. A masked field is read as a whole, because no sample inside may have the value of missing samples.
 fn read_samples(
     volume: &VolumeStep,
     key: &VolumeKey,
@@ -97,7 +98,7 @@ fn read_samples(
     let (Ok(field), Ok(mask)) = (key.field_of(volume), key.mask_of(volume)) else {
         return Ok(());
     };
-    // The sink takes no more if the device failed or had no space. Its owner reports that.
+    // The sink refuses a piece if the device failed or had no space. The owner of the sink reports that.
     let mut send = |samples, missing| {
         if !sink(Piece { samples, missing }) {
             progress.cancel();
@@ -105,10 +106,10 @@ fn read_samples(
         Ok(())
     };
     if !key.padded && mask.is_none() {
-        let mut send = |samples| send(samples, field.missing);
+        let mut send_piece = |samples| send(samples, field.missing);
         return Ok(field
             .source
-            .read_pieces(volume.step(), progress, PIECE_SAMPLES, &mut send)?);
+            .read_pieces(volume.step(), progress, PIECE_SAMPLES, &mut send_piece)?);
     }
     // Reads both files concurrently.
     let (samples, inside) = rayon::join(
@@ -116,9 +117,9 @@ fn read_samples(
         || mask.map(|(mask, labels)| samples_inside(&mask, &labels, volume.step())),
     );
     let samples = samples?;
-    let found = fields::parse_expression(volume.dataset(), &key.field);
+    let parsed = fields::parse_expression(volume.dataset(), &key.field);
     // Every sample has a distance, or none has.
-    if found.is_some_and(|found| found.is_distance) && samples.get(0).is_nan() {
+    if parsed.is_some_and(|parsed| parsed.is_distance) && samples.get(0).is_nan() {
         return Err(WorkError::Edit(key.nothing_inside()));
     }
     let (samples, missing) = match inside.transpose()? {

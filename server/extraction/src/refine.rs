@@ -1,11 +1,11 @@
 //! One step from the surface that a client shows to that of its view: decides which part is made next, within limits on triangles and
 //! bytes.
 //!
-//! - If nothing is shown, or a surface of another isovalue or feature: the final surface if it is small enough, else the finest prefix that
-//!   is small enough. If fitting a budget takes long, a prefix that depends on no budget is made first.
-//! - If another cut of the same surface is shown, such as a prefix: the step replaces the leaves of some regions by the final ones, up to
-//!   its limits, and makes the meshes of these regions and their neighbours. Each step shows a mixed cut, which is watertight like any
-//!   other. On a slow line a prefix is first followed by the finest one that is small enough.
+//! - If nothing is shown, or a surface of another isovalue or feature, the step makes the final surface if it is small enough, else the
+//!   finest prefix that is small enough. If fitting a budget takes long, a prefix that depends on no budget is made first.
+//! - If another cut of the same surface is shown, such as a prefix, the step replaces the leaves of some regions by the final ones, up to
+//!   the limits of the step, and makes the meshes of these regions and their neighbours. Each such step shows a mixed cut, which is
+//!   watertight like any other. On a slow line the finest prefix that is small enough comes before that.
 //! - If an error or a budget decides, the final surface is a cut of the vertex tree, provided that the tree is built or soon will be: on a
 //!   GPU, unless the full surface is too large. Otherwise the tree is cut when the viewer is at rest ([`Refinement::can_improve`]), and
 //!   until then the surface is a cut of cubes. If parts are to be removed, the cut of cubes is an intermediate step, and the cut of the
@@ -28,24 +28,24 @@ use super::tree_steps;
 use super::workspace::Workspace;
 use super::{CutId, Refinement, Shown, Step, WorkError};
 
-/// Triangles of a closed surface for each leaf.
+/// Triangles of a closed surface per leaf.
 const TRIANGLES_PER_LEAF: u64 = 2;
 
 /// The last step may have up to this percentage of a step's triangles, so that a small remainder needs no further step.
 const LAST_STEP_PERCENT: u64 = 150;
 
-/// If a view has an error but no budget, the final surface is expected to have the full surface's triangles divided by this.
-const EXPECTED_SHARE: u64 = 4;
+/// If a view has an error but no budget, the final surface is assumed to have the full surface's triangles divided by this number.
+const EXPECTED_DIVISOR: u64 = 4;
 
-/// A prefix that comes before its budget is fitted has at most this share of the budget's triangles, in percent.
+/// A prefix that is made before the budget is fitted has at most this share of the budget's triangles, in percent.
 const UNFITTED_PERCENT: u64 = 20;
 
 /// A prefix that follows a coarser one may have the bytes of this many steps. Refining region by region instead would send these bytes more
 /// than once, and the surface would look uneven meanwhile.
 const NEXT_PREFIX_STEPS: u64 = 6;
 
-/// A step replaces at least the target's leaves divided by this. Each step resends the regions at its border, so on a slow line smaller
-/// steps would send everything three times.
+/// A step replaces at least the target's leaves divided by this number. Each step resends the regions at its border, so on a slow line
+/// smaller steps would send everything three times.
 const MAX_STEPS: u64 = 12;
 
 /// Maximum triangles of a new surface's first prefix, however fast the device is: any client can draw them at once, even in software.
@@ -55,7 +55,7 @@ const MAX_PREFIX_TRIANGLES: u64 = 30_000;
 const FRESH_PERCENT: u64 = 3;
 
 /// Result of a step.
-struct Made {
+struct StepResult {
     surface: Surface,
     cut: CutId,
     target: Option<CutId>,
@@ -77,76 +77,76 @@ impl Workspace {
         context: &mut JobContext<'_, Self>,
     ) -> Result<Refinement, JobError> {
         let start = Instant::now();
-        self.with_pyramid(volume, view, Nodes::All, context, |on, view, cancel| {
+        self.with_pyramid(volume, view, Nodes::All, context, |job, view, cancel| {
             let is_first = step.shown == Shown::Another && step.target.is_none();
-            let full = on.pyramid.full_triangles();
-            let builds_tree = on.builds_tree_soon();
-            let tree_first = view.is_by_error() && on.cuts_tree(view, step);
+            let full = job.pyramid.full_triangles();
+            let builds_tree = job.builds_tree_soon();
+            let tree_first = view.is_by_error() && job.cuts_tree(view, step);
             let expected = match view.budget {
-                _ if tree_first => Some(view.max_triangles(full).unwrap_or(full / EXPECTED_SHARE).min(full)),
+                _ if tree_first => Some(view.max_triangles(full).unwrap_or(full / EXPECTED_DIVISOR).min(full)),
                 Some(Budget::Triangles(budget)) if view.fitted.is_none() => Some(budget.of(full)),
                 _ => None,
             };
             if is_first
                 && let Some(expected) = expected
-                && let Some(prefix) = unfitted_prefix(on, expected, step)
+                && let Some(prefix) = unfitted_prefix(job, expected, step)
             {
-                return Ok(unfitted(on, view, prefix, cancel)?.refinement(view, false, on.own_time(start)));
+                return Ok(make_unfitted(job, view, prefix, cancel)?.refinement(view, false, job.own_time(start)));
             }
             if tree_first
                 && let Some(expected) = expected
-                && let Some(prefix) = tree_steps::next_prefix(step, on.regions(), expected)
-                && let Some(surface) = on.tree_prefix(view, prefix, cancel)?
+                && let Some(prefix) = tree_steps::next_prefix(step, job.regions(), expected)
+                && let Some(surface) = job.tree_prefix(view, prefix, cancel)?
                 // A cut without additional triangles is no progress. It occurs if parts are removed: then every cut has few triangles.
                 && surface.statistics.triangles > step.made_triangles
             {
-                return Ok(on.tree_prefix_refinement(surface, view, on.own_time(start)));
+                return Ok(job.tree_prefix_refinement(surface, view, job.own_time(start)));
             }
-            let kept = step.target.and_then(|id| Some((id, lock(on.cuts).get(id)?)));
-            let kept = kept.filter(|(_, target)| !tree_first && target.is_of(on.pyramid));
-            let (params, target_id, target, can_improve) = match kept {
-                Some((id, target)) => (on.params_of(view), id, target, view.is_by_error()),
-                None if view.is_by_error() => match on.decided(view, ceiling_triangles, tree_first, false, cancel)? {
-                    Decided::Tree(surface) => return Ok(on.tree_refinement(surface, view, on.own_time(start))),
+            let cached = step.target.and_then(|id| Some((id, lock(job.cuts).get(id)?)));
+            let cached = cached.filter(|(_, target)| !tree_first && target.is_of(job.pyramid));
+            let (params, target_id, target, can_improve) = match cached {
+                Some((id, target)) => (job.params_of(view), id, target, view.is_by_error()),
+                None if view.is_by_error() => match job.decide(view, ceiling_triangles, tree_first, false, cancel)? {
+                    Decided::Tree(surface) => return Ok(job.tree_refinement(surface, view, job.own_time(start))),
                     Decided::Cubes {
                         params,
                         cut: target,
                         can_improve,
                     } => {
-                        let id = lock(on.cuts).keep(Arc::clone(&target));
+                        let id = lock(job.cuts).insert(Arc::clone(&target));
                         (params, id, target, can_improve)
                     }
                 },
                 None => {
-                    let (params, target) = on.cut_within(view, ceiling_triangles, cancel)?;
+                    let (params, target) = job.cut_within(view, ceiling_triangles, cancel)?;
                     let target = Arc::new(target);
-                    let id = lock(on.cuts).keep(Arc::clone(&target));
+                    let id = lock(job.cuts).insert(Arc::clone(&target));
                     (params, id, target, false)
                 }
             };
             let shown = match step.shown {
-                Shown::Cut(id) => lock(on.cuts).get(id),
+                Shown::Cut(id) => lock(job.cuts).get(id),
                 Shown::Another | Shown::Alike => None,
             };
             let meshing = Instant::now();
-            let next = Next {
-                on,
+            let maker = StepMaker {
+                job,
                 params: &params,
                 target: &target,
                 step,
                 cancel,
             };
-            let (surface, cut) = next.make(shown.as_deref())?;
+            let (surface, cut) = maker.make(shown.as_deref())?;
             // A cut of cubes still contains the parts that are to be removed, so a cut of the tree follows.
             let is_final = cut.is_none() && !view.removes_parts();
-            let made = Made {
-                surface: on.with_all_stages(surface),
+            let result = StepResult {
+                surface: job.with_all_stages(surface),
                 is_final,
-                cut: cut.map_or(target_id, |cut| lock(on.cuts).keep(Arc::new(cut))),
+                cut: cut.map_or(target_id, |cut| lock(job.cuts).insert(Arc::new(cut))),
                 target: Some(target_id),
                 meshing: meshing.elapsed(),
             };
-            Ok(made.refinement(view, is_final && can_improve && !builds_tree, on.own_time(start)))
+            Ok(result.refinement(view, is_final && can_improve && !builds_tree, job.own_time(start)))
         })
     }
 }
@@ -157,7 +157,7 @@ impl OnDevice<'_> {
         self.pyramid.active_regions() as u64
     }
 
-    /// Whether a step cuts the vertex tree, and not cubes first. For a view that an error or a budget decides.
+    /// Whether a step of a view that an error or a budget decides cuts the vertex tree, instead of cubes first.
     fn cuts_tree(&self, view: &View, step: Step) -> bool {
         let Some(target) = step.target else {
             // The budget of bytes was fitted with a cut of the tree. A cut of cubes with the same number of triangles would exceed it.
@@ -171,7 +171,8 @@ impl OnDevice<'_> {
     }
 }
 
-impl Made {
+impl StepResult {
+    /// Returns the result with the view and the time of the step.
     fn refinement(self, view: &View, can_improve: bool, wall: Duration) -> Refinement {
         Refinement {
             surface: self.surface,
@@ -189,8 +190,8 @@ impl Made {
 /// Returns the prefix that is made before a budget is fitted or the vertex tree is built, if one is needed. Fitting searches for a
 /// threshold and counts several cuts: on a CPU this takes about as long as building the pyramid. `expected`: triangles of the final
 /// surface.
-fn unfitted_prefix(on: &OnDevice<'_>, expected: u64, step: Step) -> Option<Level> {
-    let step_triangles = match on.engine.device().kind {
+fn unfitted_prefix(job: &OnDevice<'_>, expected: u64, step: Step) -> Option<Level> {
+    let step_triangles = match job.engine.device().kind {
         DeviceKind::Cpu => step.fresh_triangles,
         DeviceKind::Gpu | DeviceKind::Other => step.triangles,
     };
@@ -198,7 +199,7 @@ fn unfitted_prefix(on: &OnDevice<'_>, expected: u64, step: Step) -> Option<Level
         return None;
     }
     let fits = |level: &Level| {
-        let triangles = on.pyramid.nodes(*level) * TRIANGLES_PER_LEAF;
+        let triangles = job.pyramid.nodes(*level) * TRIANGLES_PER_LEAF;
         triangles <= prefix_triangles(step) && triangles * 100 <= expected.saturating_mul(UNFITTED_PERCENT)
     };
     finest_prefix(MAX_LEVEL.get(), fits)
@@ -209,20 +210,22 @@ fn finest_prefix(coarsest: u8, fits: impl FnMut(&Level) -> bool) -> Option<Level
     (1..=coarsest).filter_map(|level| Level::new(level).ok()).find(fits)
 }
 
-/// Makes the surface of a prefix at threshold 0, which is a step towards the surface of any threshold.
-fn unfitted(on: &OnDevice<'_>, view: &View, prefix: Level, cancel: &dyn Cancel) -> Result<Made, WorkError> {
+/// Makes the surface of a prefix at threshold 0. Such a prefix is a step towards the surface of any threshold.
+fn make_unfitted(job: &OnDevice<'_>, view: &View, prefix: Level, cancel: &dyn Cancel) -> Result<StepResult, WorkError> {
     let start = Instant::now();
     let params = CutParams {
         beta: 0.0,
         tolerance: None,
-        ..on.params_of(view)
+        ..job.params_of(view)
     };
-    let cut = on.engine.cut(on.volume, on.pyramid, &params, prefix)?;
-    let surface = on.engine.surface(on.volume, on.pyramid, &params, &cut, None, cancel)?;
-    Ok(Made {
-        surface: on.with_all_stages(surface),
+    let cut = job.engine.cut(job.volume, job.pyramid, &params, prefix)?;
+    let surface = job
+        .engine
+        .surface(job.volume, job.pyramid, &params, &cut, None, cancel)?;
+    Ok(StepResult {
+        surface: job.with_all_stages(surface),
         is_final: false,
-        cut: lock(on.cuts).keep(Arc::new(cut)),
+        cut: lock(job.cuts).insert(Arc::new(cut)),
         target: None,
         meshing: start.elapsed(),
     })
@@ -238,7 +241,7 @@ fn bytes_of(leaves: u64, regions: u64, bytes_of_100_triangles: u64) -> u64 {
     chunk_bytes::of_triangles(leaves * TRIANGLES_PER_LEAF, regions, bytes_of_100_triangles)
 }
 
-/// Triangles of a new surface's first prefix.
+/// Returns the maximum triangles of a new surface's first prefix.
 fn prefix_triangles(step: Step) -> u64 {
     step.fresh_triangles.min(MAX_PREFIX_TRIANGLES)
 }
@@ -246,50 +249,51 @@ fn prefix_triangles(step: Step) -> u64 {
 /// A surface and its cut; `None` if the cut is the target.
 type SurfaceOfCut = (Surface, Option<Cut>);
 
-/// Inputs of a step.
-struct Next<'a> {
-    on: &'a OnDevice<'a>,
+/// Inputs of a step, which makes the step's surface.
+struct StepMaker<'a> {
+    job: &'a OnDevice<'a>,
     params: &'a CutParams,
     target: &'a Cut,
     step: Step,
     cancel: &'a dyn Cancel,
 }
 
-impl Next<'_> {
+impl StepMaker<'_> {
+    /// Makes the surface of the step. `shown`: the cut that the client shows, if it is cached.
     fn make(&self, shown: Option<&Cut>) -> Result<SurfaceOfCut, WorkError> {
-        let on = self.on;
+        let job = self.job;
         let differences = match shown {
-            Some(shown) => on.engine.differences(on.volume, on.pyramid, shown, self.target)?,
+            Some(shown) => job.engine.differences(job.volume, job.pyramid, shown, self.target)?,
             None => None,
         };
         match (shown, differences) {
-            (Some(shown), Some(differences)) => self.refined(shown, &differences),
-            _ if self.step.shown == Shown::Another => self.fresh(),
-            // This case includes a shown cut that was evicted, or whose pyramid was.
-            _ => self.whole(),
+            (Some(shown), Some(differences)) => self.replace_leaves(shown, &differences),
+            _ if self.step.shown == Shown::Another => self.first_surface(),
+            // The shown cut, or its pyramid, may have been evicted.
+            _ => self.whole_target(),
         }
     }
 
-    /// Makes the whole surface of a cut; with `kept` only the regions that differ from the shown cut.
+    /// Makes the whole surface of a cut. With `kept`, makes only the regions that differ from the shown cut.
     fn surface(&self, cut: &Cut, kept: Option<Kept<'_>>) -> Result<Surface, WorkError> {
-        let on = self.on;
-        Ok(on
+        let job = self.job;
+        Ok(job
             .engine
-            .surface(on.volume, on.pyramid, self.params, cut, kept, self.cancel)?)
+            .surface(job.volume, job.pyramid, self.params, cut, kept, self.cancel)?)
     }
 
     /// Makes the whole surface of the target.
-    fn whole(&self) -> Result<SurfaceOfCut, WorkError> {
+    fn whole_target(&self) -> Result<SurfaceOfCut, WorkError> {
         Ok((self.surface(self.target, None)?, None))
     }
 
     /// Makes the first surface of a generation: a prefix, or the target.
-    fn fresh(&self) -> Result<SurfaceOfCut, WorkError> {
+    fn first_surface(&self) -> Result<SurfaceOfCut, WorkError> {
         let Some(prefix) = self.first_prefix() else {
-            return self.whole();
+            return self.whole_target();
         };
-        let on = self.on;
-        let cut = on.engine.cut(on.volume, on.pyramid, self.params, prefix)?;
+        let job = self.job;
+        let cut = job.engine.cut(job.volume, job.pyramid, self.params, prefix)?;
         Ok((self.surface(&cut, None)?, Some(cut)))
     }
 
@@ -307,16 +311,18 @@ impl Next<'_> {
         finest_prefix(MAX_LEVEL.get(), fits).or_else(|| (!is_one_step).then_some(MAX_LEVEL))
     }
 
-    /// Whether a prefix of this number of leaves has a small share of the final surface's bytes.
+    /// Whether a prefix of this number of leaves takes at most [`FRESH_PERCENT`] of the final surface's bytes.
     fn is_small(&self, leaves: u64) -> bool {
-        let whole = self.target.prefix_leaves(Level::FINEST);
-        self.prefix_bytes(leaves) * 100 <= bytes_of(whole, self.regions(), BYTES_OF_100_TRIANGLES) * FRESH_PERCENT
+        let final_leaves = self.target.prefix_leaves(Level::FINEST);
+        self.prefix_bytes(leaves) * 100
+            <= bytes_of(final_leaves, self.regions(), BYTES_OF_100_TRIANGLES) * FRESH_PERCENT
     }
 
     fn regions(&self) -> u64 {
-        self.on.regions()
+        self.job.regions()
     }
 
+    /// Estimates the bytes of a prefix of this number of leaves.
     fn prefix_bytes(&self, leaves: u64) -> u64 {
         bytes_of(leaves, self.regions(), BYTES_OF_100_COARSE_TRIANGLES)
     }
@@ -326,8 +332,8 @@ impl Next<'_> {
         bytes_of(leaves, regions, BYTES_OF_100_TRIANGLES) <= self.step.bytes
     }
 
-    /// Returns the finest prefix that the step allows and that is finer than the shown one. It is used on a slow line: it improves the
-    /// whole surface at once, for a small share of the final bytes.
+    /// Returns the finest prefix that the step allows and that is finer than the shown one. Used on a slow line, because a prefix improves
+    /// the whole surface at once for a small share of the final bytes.
     fn next_prefix(&self, shown: &Cut) -> Option<Level> {
         let allowed = self.step.bytes.saturating_mul(NEXT_PREFIX_STEPS);
         let fits = |level: &Level| {
@@ -339,38 +345,40 @@ impl Next<'_> {
 
     /// Replaces the shown leaves by the target's, region by region until the step's limits are reached. On a slow line, makes a finer
     /// prefix instead if there is one.
-    fn refined(&self, shown: &Cut, differences: &Differences) -> Result<SurfaceOfCut, WorkError> {
-        let on = self.on;
+    fn replace_leaves(&self, shown: &Cut, differences: &Differences) -> Result<SurfaceOfCut, WorkError> {
+        let job = self.job;
         let remade = differences.meshes.iter().enumerate().filter(|(_, remake)| **remake);
         let remade: Vec<u64> = remade.map(|(region, _)| self.target.region_leaves(region)).collect();
         let leaves = remade.iter().sum();
-        let line_is_slow = !self.is_sent_in_a_step(leaves, remade.len() as u64);
-        if is_last(leaves, self.step.triangles) && !line_is_slow {
+        let is_line_slow = !self.is_sent_in_a_step(leaves, remade.len() as u64);
+        if is_last(leaves, self.step.triangles) && !is_line_slow {
             return Ok((self.surface(self.target, Some(Kept { shown, differences }))?, None));
         }
-        if line_is_slow && let Some(prefix) = self.next_prefix(shown) {
-            let cut = on.engine.cut(on.volume, on.pyramid, self.params, prefix)?;
-            if let Some(differences) = &on.engine.differences(on.volume, on.pyramid, shown, &cut)? {
+        if is_line_slow && let Some(prefix) = self.next_prefix(shown) {
+            let cut = job.engine.cut(job.volume, job.pyramid, self.params, prefix)?;
+            if let Some(differences) = &job.engine.differences(job.volume, job.pyramid, shown, &cut)? {
                 return Ok((self.surface(&cut, Some(Kept { shown, differences }))?, Some(cut)));
             }
         }
-        let mut take = vec![false; differences.leaves.len()];
+        let mut is_replaced = vec![false; differences.leaves.len()];
         let minimum = self.target.prefix_leaves(Level::FINEST) / MAX_STEPS;
         let (mut leaves, mut regions) = (0, 0);
-        for region in on.pyramid.regions_in_morton_order() {
+        for region in job.pyramid.regions_in_morton_order() {
             let is_full =
                 leaves * TRIANGLES_PER_LEAF >= self.step.triangles || !self.is_sent_in_a_step(leaves, regions);
             if is_full && leaves >= minimum {
                 break;
             }
             if differences.leaves[region] {
-                take[region] = true;
+                is_replaced[region] = true;
                 leaves += self.target.region_leaves(region);
                 regions += 1;
             }
         }
-        let mixed = on.engine.mix(on.volume, on.pyramid, shown, self.target, &take)?;
-        let differences = &differences.to_mix(on.pyramid, &take);
+        let mixed = job
+            .engine
+            .mix(job.volume, job.pyramid, shown, self.target, &is_replaced)?;
+        let differences = &differences.to_mix(job.pyramid, &is_replaced);
         Ok((self.surface(&mixed, Some(Kept { shown, differences }))?, Some(mixed)))
     }
 }

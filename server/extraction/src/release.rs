@@ -1,4 +1,4 @@
-//! Frees the data of a time step that nothing will use again.
+//! Frees the data of a time step that will not be used again.
 
 use isopeel_kernels::lock;
 use isopeel_volumes::StepKey;

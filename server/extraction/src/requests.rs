@@ -1,4 +1,5 @@
-//! Requests to a workspace, as data: they can be queued, logged, ordered and repeated. Each has a type of its own, with the type of its reply.
+//! Requests to a workspace, as data: they can be queued, logged, ordered and repeated. Each has a type of its own, with the type of its
+//! reply.
 
 mod fields;
 mod samples;
@@ -23,16 +24,16 @@ pub use surfaces::{Ask, Count, Extract, Improve, Measure, Prepare, Refine, Resol
 
 /// A request, with the type of its reply.
 pub trait Request: Into<DeviceRequest> + Send + 'static {
-    /// What it returns.
+    /// Type of the reply.
     type Reply: Send + 'static;
 
-    /// Returns the reply of this type of request; `None` if it is that of another one.
+    /// Extracts the reply to this type of request; `None` if `reply` belongs to another type.
     fn take_reply(reply: DeviceReply) -> Option<Self::Reply>;
 }
 
 /// A request about a volume. It can be repeated, for example after the volume was loaded.
 pub trait VolumeRequest: Request + Clone {
-    /// The volume.
+    /// Returns the volume.
     fn volume(&self) -> &VolumeStep;
 }
 
@@ -62,7 +63,7 @@ macro_rules! requests {
                 }
             }
 
-            /// Does the work.
+            /// Runs the request on a workspace.
             ///
             /// # Errors
             /// [`JobError`].
@@ -72,7 +73,7 @@ macro_rules! requests {
                 context: &mut JobContext<'_, Workspace>,
             ) -> Result<DeviceReply, JobError> {
                 match self {
-                    $(Self::$name(request) => request.work(workspace, context).map(DeviceReply::$name),)*
+                    $(Self::$name(request) => request.perform(workspace, context).map(DeviceReply::$name),)*
                 }
             }
         }
@@ -126,7 +127,7 @@ requests! {
     CheckAnswers -> bool,
 }
 
-macro_rules! of_volumes {
+macro_rules! volume_requests {
     ($($name:ident),* $(,)?) => {
         $(
             impl VolumeRequest for $name {
@@ -138,7 +139,7 @@ macro_rules! of_volumes {
     };
 }
 
-of_volumes! {
+volume_requests! {
     Resolve, Prepare, Count, Refine, Improve, Measure, Extract, Ask, UseField, Compute, UseHistogramFields,
     ContinueHistogram, ContinueOverview, ReadSamples, ReadSlice,
 }

@@ -1,10 +1,10 @@
-//! A cache with a budget. Written by hand, in 60 lines: libraries bound the number of entries or run their own eviction, whereas here the
-//! bytes of the next entry must be free before it is made.
+//! A cache with a budget. It is written by hand, because libraries bound the number of entries or evict on insertion. Here the bytes of the
+//! next entry must be free before the entry is made.
 
 use std::hash::Hash;
 
-/// Least-recently-used cache: values by key, each with a cost; the most recently used is the last. With at most some thousand entries and a
-/// few look-ups a job, a list is fast enough.
+/// Least-recently-used cache: values by key, each with a cost. The entries are a list, the most recently used last. With at most some
+/// thousand entries and a few look-ups a job, a list is fast enough.
 pub struct Lru<K, V> {
     entries: Vec<(K, u64, V)>,
     budget: u64,
@@ -13,7 +13,7 @@ pub struct Lru<K, V> {
 }
 
 impl<K: Eq + Hash, V> Lru<K, V> {
-    /// Keeps entries with a total cost of at most `budget`.
+    /// Creates a cache of entries with a total cost of at most `budget`.
     pub fn new(budget: u64) -> Self {
         Self {
             entries: Vec::new(),
@@ -22,76 +22,77 @@ impl<K: Eq + Hash, V> Lru<K, V> {
         }
     }
 
-    /// Keeps at least the `min_entries` most recently used, even if they cost more than the budget.
+    /// Returns the cache with another limit: the `min_entries` most recently used entries stay even if they cost more than the budget.
     pub fn keeping(self, min_entries: usize) -> Self {
         Self { min_entries, ..self }
     }
 
-    /// Maximum cost of all entries together.
+    /// Returns the maximum cost of all entries together.
     pub fn budget(&self) -> u64 {
         self.budget
     }
 
-    /// Cost of all entries together.
+    /// Returns the cost of all entries together.
     pub fn cost(&self) -> u64 {
         self.entries.iter().map(|entry| entry.1).sum()
     }
 
-    /// Looks up without marking as used.
+    /// Returns a value without marking it as used.
     pub fn peek(&self, key: &K) -> Option<&V> {
-        self.entries.iter().find(|e| e.0 == *key).map(|e| &e.2)
+        self.entries.iter().find(|entry| entry.0 == *key).map(|entry| &entry.2)
     }
 
-    /// Looks up and marks as used.
+    /// Returns a value, and marks it as used.
     pub fn get(&mut self, key: &K) -> Option<&V> {
-        let at = self.entries.iter().position(|e| e.0 == *key)?;
+        let index = self.entries.iter().position(|entry| entry.0 == *key)?;
         let end = self.entries.len();
-        self.entries[at..end].rotate_left(1);
-        self.entries.last().map(|e| &e.2)
+        self.entries[index..end].rotate_left(1);
+        self.entries.last().map(|entry| &entry.2)
     }
 
-    /// Evicts the least recently used entries among those that `may_go`, until `cost` fits into the budget with the rest.
-    pub fn evict_for(&mut self, cost: u64, may_go: impl Fn(&K) -> bool) {
-        let mut total: u64 = self.entries.iter().map(|e| e.1).sum();
+    /// Evicts the least recently used entries for which `may_evict` returns true, until `cost` fits into the budget
+    /// beside the remaining entries.
+    pub fn evict_for(&mut self, cost: u64, may_evict: impl Fn(&K) -> bool) {
+        let mut total: u64 = self.entries.iter().map(|entry| entry.1).sum();
         // `entries` counts the new entry too.
         let (budget, mut entries) = (self.budget, self.entries.len() + 1);
         self.entries.retain(|(key, bytes, _)| {
-            let goes = total.saturating_add(cost) > budget && entries > self.min_entries && may_go(key);
-            if goes {
+            let is_evicted = total.saturating_add(cost) > budget && entries > self.min_entries && may_evict(key);
+            if is_evicted {
                 total -= bytes;
                 entries -= 1;
             }
-            !goes
+            !is_evicted
         });
     }
 
-    /// Evicts the least recently used entries among those that `may_go`, until they have freed `cost`.
-    pub fn free(&mut self, cost: u64, may_go: impl Fn(&K) -> bool) {
+    /// Evicts the least recently used entries for which `may_evict` returns true, until `cost` is freed.
+    pub fn free(&mut self, cost: u64, may_evict: impl Fn(&K) -> bool) {
         let mut freed = 0;
         self.entries.retain(|(key, bytes, _)| {
-            let goes = freed < cost && may_go(key);
-            freed += if goes { *bytes } else { 0 };
-            !goes
+            let is_evicted = freed < cost && may_evict(key);
+            freed += if is_evicted { *bytes } else { 0 };
+            !is_evicted
         });
     }
 
-    /// Inserts or replaces an entry as the most recently used, and evicts others until it fits. An entry above the budget is kept too,
+    /// Inserts or replaces an entry as the most recently used, and evicts others until it fits. An entry above the budget stays too,
     /// together with the other most recently used entries that always stay.
     pub fn insert(&mut self, key: K, cost: u64, value: V) {
-        self.entries.retain(|e| e.0 != key);
+        self.entries.retain(|entry| entry.0 != key);
         self.evict_for(cost, |_| true);
         self.add(key, cost, value);
     }
 
-    /// As [`Lru::insert`], but evicts nothing: the caller did so with [`Lru::evict_for`].
+    /// As [`Lru::insert`], but evicts nothing. The caller makes space with [`Lru::evict_for`] first.
     pub fn add(&mut self, key: K, cost: u64, value: V) {
-        self.entries.retain(|e| e.0 != key);
+        self.entries.retain(|entry| entry.0 != key);
         self.entries.push((key, cost, value));
     }
 
     /// Drops the entries that `keep` rejects.
     pub fn retain(&mut self, keep: impl Fn(&K) -> bool) {
-        self.entries.retain(|e| keep(&e.0));
+        self.entries.retain(|entry| keep(&entry.0));
     }
 
     /// Returns each entry's key and cost, the least recently used first.
@@ -99,7 +100,7 @@ impl<K: Eq + Hash, V> Lru<K, V> {
         self.entries.iter().map(|entry| (&entry.0, entry.1))
     }
 
-    /// Number of entries.
+    /// Returns the number of entries.
     pub fn entries(&self) -> usize {
         self.entries.len()
     }

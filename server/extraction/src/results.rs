@@ -54,7 +54,7 @@ impl Extraction {
 pub struct ExportWork {
     /// Whether the error is measured.
     pub measuring: Measuring,
-    /// Where the surface is refined if its triangles intersect.
+    /// Whether and where the surface is refined if its triangles intersect.
     pub refining: Refining,
 }
 
@@ -63,14 +63,14 @@ pub struct ExportWork {
 pub struct Making {
     /// Maximum triangles.
     pub ceiling: u64,
-    /// Whether its error is measured.
+    /// Whether the error is measured.
     pub measures: bool,
-    /// Where it is refined if its triangles intersect.
+    /// Whether and where the surface is refined if its triangles intersect.
     pub refining: Refining,
 }
 
 impl Default for Making {
-    /// As many triangles as there are, measured and not refined.
+    /// Makes a surface without a limit on triangles, measures it, and does not refine it.
     fn default() -> Self {
         Self {
             ceiling: u64::MAX,
@@ -85,7 +85,7 @@ impl Default for Making {
 pub enum Refining {
     /// Nowhere.
     Never,
-    /// Less than a cell from the faces that a capped surface closes at.
+    /// Less than a cell from the faces at which a capped surface is closed.
     AtCaps,
     /// Everywhere.
     Everywhere,
@@ -96,7 +96,7 @@ pub enum Refining {
 pub enum Measuring {
     /// The error is measured.
     Always,
-    /// The error is measured, but given up if that takes longer than this.
+    /// The error is measured, unless that takes longer than this time.
     Within(Duration),
     /// The error is not measured.
     Never,
@@ -106,17 +106,17 @@ pub enum Measuring {
 /// reopened.
 static LAST_CUT: AtomicU64 = AtomicU64::new(0);
 
-/// A cut that the workspace keeps for a while: the one that a client shows, or its target.
+/// Id of a cut that the workspace caches: the cut that a client shows, or its target.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct CutId(u64);
 
 impl CutId {
-    /// The cut of that number.
+    /// Returns the id with this number.
     pub fn new(number: u64) -> Self {
         Self(number)
     }
 
-    /// An id that no other cut has.
+    /// Returns an id that no other cut has.
     pub(crate) fn next() -> Self {
         Self(LAST_CUT.fetch_add(1, Ordering::Relaxed) + 1)
     }
@@ -131,31 +131,31 @@ pub struct Step {
     pub target: Option<CutId>,
     /// Triangles of the surface that the last step towards this view has made; 0 before the first step.
     pub made_triangles: u64,
-    /// About how many triangles to make of a new surface.
+    /// Approximate number of triangles to make of a new surface.
     pub fresh_triangles: u64,
-    /// About how many triangles to remake of a surface that is shown.
+    /// Approximate number of triangles to remake of a surface that is shown.
     pub triangles: u64,
-    /// About how many bytes to send.
+    /// Approximate number of bytes to send.
     pub bytes: u64,
-    /// Bytes that the line has been observed to take in the time of a step. Pauses of the sender, or of a client that draws, do not count.
+    /// Bytes that the line takes in the time of a step, as observed. Pauses of the sender, or of a client that draws, do not count.
     pub line_bytes: u64,
 }
 
 /// The surface that a client shows when a step begins.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Shown {
-    /// Nothing, or a surface of another volume, time step, field, mask or isovalue: a coarse one may replace it.
+    /// Nothing, or a surface of another volume, time step, field, mask or isovalue. A coarse surface may replace it.
     Another,
-    /// The surface of the view, except for a property that affects every region: it is replaced at once.
+    /// The surface of the view, except for a property that affects every region. The final surface replaces it in one step.
     Alike,
-    /// A cut of the same surface, which changes region by region.
+    /// A cut of the same surface. Its regions can be replaced one by one.
     Cut(CutId),
 }
 
 /// Result of a step.
 #[derive(Clone, Debug)]
 pub struct Refinement {
-    /// The surface, or the regions in which it differs from the shown one. Its stages are those of this step.
+    /// The surface, or the regions in which it differs from the shown surface. The stages in its statistics are those of this step.
     pub surface: Surface,
     /// The view that the step leads to, with every value in force, including the fit that keeps a budget.
     pub view: View,
@@ -163,13 +163,13 @@ pub struct Refinement {
     pub cut: CutId,
     /// The final cut of the view, once it is known.
     pub target: Option<CutId>,
-    /// Whether the surface is that of the view.
+    /// Whether the surface is the final one of the view.
     pub is_final: bool,
     /// Whether a better surface of the same view exists, which [`super::Workspace::improve`] takes longer to make.
     pub can_improve: bool,
     /// Time of the work, without time spent waiting or reading files.
     pub wall: Duration,
-    /// The part of `wall` from the cut to the mesh on the host.
+    /// Part of `wall`: the time from the cut to the mesh on the host.
     pub meshing: Duration,
 }
 
@@ -194,18 +194,18 @@ impl Refinement {
     }
 }
 
-/// Counts for a surface before anything of it is made.
+/// Counts for a full surface, from before any of it is made.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct FullCount {
-    /// Triangles of the full surface, those of small parts included.
+    /// Triangles of the full surface, including those of small parts.
     pub triangles: u64,
-    /// The stages that counting them took.
+    /// Stages of the counting.
     pub stages: Vec<StageTime>,
     /// Time of the work, without time spent waiting or reading files.
     pub wall: Duration,
 }
 
-/// How far a final surface is from the undecimated one.
+/// Measured distance of a final surface from the undecimated one.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Measurement {
     /// Error of the whole surface, world units.

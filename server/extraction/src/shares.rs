@@ -1,29 +1,31 @@
-//! Shares of memory for data of earlier edits that makes the next ones quicker: pyramids, vertex trees, cuts, and freed buffers.
+//! Shares of memory for cached data of earlier edits that makes the next edits faster: pyramids, vertex trees, cuts and freed buffers.
 
 use isopeel_kernels::DeviceKind;
 
-/// Share of the device's memory for pyramids, in thousandths: those of the latest isovalues of all viewers, which edits of α, β and the
-/// transfer function reuse.
+/// Share of the device's memory for pyramids, in thousandths. Pyramids of the latest isovalues of all viewers are cached, because edits of
+/// α, β and the transfer function reuse them.
 const PYRAMIDS: u64 = 150;
 
-/// The same for vertex trees. They are larger than pyramids, but are made only for viewers at rest and for surfaces that an error or a
-/// budget decides.
+/// Share for vertex trees, in thousandths. Trees are larger than pyramids, but are made only for viewers at rest and for surfaces that an
+/// error or a budget decides.
 const TREES: u64 = 100;
 
-/// The same for cuts: a cut takes one byte a node, a pyramid 40.
+/// Share for cuts, in thousandths. It is small, because a cut takes one byte a node, and a pyramid 40.
 const CUTS: u64 = 20;
 
-/// The same for freed buffers. Reusing them in the next edit is quicker than allocating pages, which the system has to clear.
+/// Share for freed buffers, in thousandths. Reusing a buffer in the next edit is faster than allocating pages, which the system has to
+/// clear.
 const IDLE: u64 = 63;
 
-const ALL: u64 = PYRAMIDS + TREES + CUTS + IDLE;
+/// Share of all four caches, in thousandths.
+const TOTAL: u64 = PYRAMIDS + TREES + CUTS + IDLE;
 
-/// Maximum bytes of these four together if the device is this machine's processors, unless `--surface-memory` sets another limit. For the
-/// demo (197 × 233 × 189 samples) it holds pyramids of 70 isovalues, and trees of eight. Without this limit, each new isovalue would let
-/// the server grow, up to a third of the machine's memory, which other programs use too.
+/// Maximum bytes of these four caches together if the device is this machine's processors, unless `--surface-memory` sets another limit.
+/// For the demo (197 × 233 × 189 samples) the caches hold pyramids of 70 isovalues and trees of eight. Without this limit, each new
+/// isovalue would let the server grow, up to a third of the machine's memory, which other programs use too.
 pub const PROCESSOR_BYTES: u64 = 1 << 30;
 
-/// Maximum bytes of each cache. The most recently used entries are kept even if they take more.
+/// Maximum bytes of each cache. The most recently used entries of a cache stay even if they take more.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Shares {
     pub pyramids: u64,
@@ -39,16 +41,16 @@ impl Shares {
     }
 
     /// Returns the shares of a device with `device_bytes` of memory, in a process that may hold `host_bytes`. `limit`: the value of
-    /// `--surface-memory`, which limits all of them together.
+    /// `--surface-memory`, which limits all four caches together.
     pub(crate) fn of(kind: DeviceKind, device_bytes: u64, host_bytes: u64, limit: Option<u64>) -> Self {
         let (memory, limit) = match kind {
             // Caches shrink if the process may hold less memory than the machine has.
             DeviceKind::Cpu => (device_bytes.min(host_bytes), limit.unwrap_or(PROCESSOR_BYTES)),
             _ => (device_bytes, limit.unwrap_or(u64::MAX)),
         };
-        // Divides first, or the product may overflow.
-        let all = (memory / 1000 * ALL).min(limit);
-        let share = |thousandths| all / ALL * thousandths;
+        // Divides first, because the product could overflow.
+        let total = (memory / 1000 * TOTAL).min(limit);
+        let share = |thousandths| total / TOTAL * thousandths;
         Self {
             pyramids: share(PYRAMIDS),
             trees: share(TREES),

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use isopeel_view::quality::{GuardName, MesherName, TopologyName};
 use isopeel_view::{FeatureName, Outward, View};
 
-/// Tolerance of a surface in which nothing was merged: below any error.
+/// Tolerance that is stated for a surface in which nothing was merged: below any error.
 const NOTHING_MERGED: f32 = -1.0;
 
 /// Measured distance of a mesh from the surface it stands for, in world units.
@@ -43,8 +43,8 @@ pub(crate) fn in_world(length: f32, smallest: f64) -> f32 {
 }
 
 impl MeasuredError {
-    /// Converts it to world units, from the device's multiples of the smallest spacing. `None` if no triangle is left of the surface, which
-    /// then has no distance from anything.
+    /// Converts an error to world units, from the device's multiples of the smallest spacing. `None` if the surface has no triangles, and
+    /// so no distance from anything.
     pub(crate) fn in_world(SurfaceError { rms, max }: SurfaceError, smallest: f64) -> Option<Self> {
         let [rms, max] = [rms, max].map(|length| in_world(length, smallest));
         (rms.is_finite() && max.is_finite()).then_some(Self { rms, max })
@@ -52,7 +52,7 @@ impl MeasuredError {
 }
 
 impl EstimatedError {
-    /// Converts it to world units, as [`MeasuredError::in_world`].
+    /// Converts an error to world units, as [`MeasuredError::in_world`].
     fn in_world(ErrorEstimate { rms, worst_leaf }: ErrorEstimate, smallest: f64) -> Self {
         let [rms, worst_leaf] = [rms, worst_leaf].map(|length| in_world(length, smallest));
         Self { rms, worst_leaf }
@@ -180,25 +180,29 @@ impl ExtractionStatistics {
 
     /// Returns the statistics of the surface alone, without the costs of making it, as a JSON object.
     pub fn of_surface(&self) -> serde_json::Value {
-        let mut all = serde_json::to_value(self).unwrap_or_default();
-        if let Some(names) = all.as_object_mut() {
-            names.retain(|name, _| !Self::COSTS.contains(&name.as_str()));
+        let mut json = serde_json::to_value(self).unwrap_or_default();
+        if let Some(object) = json.as_object_mut() {
+            object.retain(|name, _| !Self::COSTS.contains(&name.as_str()));
         }
-        all
+        json
     }
 
-    /// Merges the statistics of one surface, or of several in one file: counts and times are sums, guards that gave way and notices those
-    /// of any surface, measured error, tolerance and bytes maxima. There is no estimated error of several, and they are a tree cut only if
-    /// all are. The rest is the first surface's.
-    pub fn of_several(all: Vec<Self>) -> Self {
-        let mut all = all.into_iter();
-        let mut sum = all.next().unwrap_or_default();
-        for next in all {
+    /// Merges the statistics of the surfaces in one file.
+    ///
+    /// - Counts and times are sums. Measured error, tolerance and bytes are maxima.
+    /// - Guards that gave way and notices are those of any surface.
+    /// - `is_tree_cut` is true only if all surfaces are tree cuts. Several surfaces have no estimated error.
+    /// - All other values are those of the first surface.
+    pub fn of_several(surfaces: Vec<Self>) -> Self {
+        let mut surfaces = surfaces.into_iter();
+        let mut sum = surfaces.next().unwrap_or_default();
+        for next in surfaces {
             sum.add(next);
         }
         sum
     }
 
+    /// Adds the statistics of a further surface in the same file.
     fn add(&mut self, next: Self) {
         let sum = |a: Option<u64>, b: Option<u64>| a.into_iter().chain(b).reduce(|a, b| a + b);
         self.removed_parts = sum(self.removed_parts, next.removed_parts);
@@ -240,8 +244,7 @@ impl ExtractionStatistics {
         }
     }
 
-    /// Combines the kernels' statistics with the view, the time and the device. `smallest`: the spacing in whose multiples lengths are
-    /// given.
+    /// Combines the kernels' statistics with the view, the time and the device. `smallest`: the device's unit of length, in world units.
     pub fn new(
         kernels: &isopeel_kernels::SurfaceStatistics,
         view: &View,
@@ -256,7 +259,8 @@ impl ExtractionStatistics {
         Self {
             mesher: view.mesher,
             beta: view.beta_in_force(),
-            // If everything that can be is merged, the tolerance has no bound; nor if nothing is, and JSON has no infinity.
+            // JSON has no infinity, but the tolerance is infinite if everything was merged that can be, or negative infinity if nothing
+            // was.
             tolerance: view.tolerance_in_force(smallest).map(|tolerance| match tolerance {
                 ..0.0 => NOTHING_MERGED,
                 f32::MAX.. => in_world(kernels.estimate.worst_leaf, smallest),

@@ -1,32 +1,32 @@
 //! Coarser cuts of the vertex tree that come before the final one, so that a slow line shows a change soon.
 //!
-//! Each one is a whole surface, which the next one replaces, so all bytes before the final one are overhead. Therefore there are few such
-//! cuts, each several times as large as the one before, and none on a line that takes the final surface at once.
+//! Each cut is a whole surface, which the next one replaces, so all bytes before the final surface are overhead. Therefore there are few
+//! coarser cuts, each several times as large as the one before. A line that takes the final surface at once gets no coarser cut.
 
 use super::chunk_bytes::{self, BYTES_OF_100_COARSE_TRIANGLES, BYTES_OF_100_TRIANGLES};
 use super::{Shown, Step};
 
-/// The final surface is sent at once if it has at most the bytes of a step, divided by this.
-const AT_ONCE_PART: u64 = 4;
+/// The final surface is sent at once if it has at most the bytes of a step divided by this number.
+const AT_ONCE_DIVISOR: u64 = 4;
 
-/// Bytes of a step, divided by those of the first cut.
-const FIRST_PART: u64 = 10;
+/// The first cut has the bytes of a step divided by this number.
+const FIRST_DIVISOR: u64 = 10;
 /// Minimum bytes of the first cut: smaller ones are mostly headers.
 const MIN_FIRST_BYTES: u64 = 80 << 10;
 
-/// Bytes of a further cut, divided by those of the cut before.
+/// Each further cut has the bytes of the cut before multiplied by this number.
 const GROWTH: u64 = 4;
-/// Minimum of that ratio: the final surface is sent instead of a cut that grows by less.
+/// Minimum of that factor. The final surface is sent instead of a cut that would grow by less.
 const MIN_GROWTH: u64 = 2;
-/// A further coarser cut is made only if the final surface has more than this number of steps' bytes.
+/// A second coarser cut is made only if the final surface has more than the bytes of this many steps.
 const LONG_STEPS: u64 = 8;
 
-/// Bytes of the final surface, divided by those of the largest cut.
-const TARGET_FINAL_PART: u64 = 5;
-/// Bytes of the final surface, divided by the maximum of a cut whose topology needs more triangles.
-const MAX_FINAL_PART: u64 = 3;
+/// The largest coarser cut has the bytes of the final surface divided by this number.
+const TARGET_DIVISOR: u64 = 5;
+/// As [`TARGET_DIVISOR`], for a cut whose topology needs more triangles than intended.
+const MAX_DIVISOR: u64 = 3;
 
-/// Cuts of fewer triangles show too little of a surface.
+/// Minimum triangles of a coarser cut. A cut of fewer triangles shows too little of a surface.
 const MIN_TRIANGLES: u64 = 1000;
 
 /// Triangles of a coarser cut.
@@ -34,30 +34,29 @@ const MIN_TRIANGLES: u64 = 1000;
 pub(crate) struct TreePrefix {
     /// Triangles that the cut should have.
     pub triangles: u64,
-    /// Triangles that it may have if its topology needs more: instead of a larger cut, the final surface is sent at once.
+    /// Maximum triangles of the cut if its topology needs more than `triangles`. If it needs even more, the final surface is sent at once.
     pub max_triangles: u64,
 }
 
-/// Returns the next coarser cut; `None` if the final one is next. `regions`: those that have cells of the surface; `expected`: triangles of
-/// the final surface.
+/// Returns the next coarser cut; `None` if the final one is next. `regions`: number of regions that have cells of the surface; `expected`:
+/// triangles of the final surface.
 pub(crate) fn next_prefix(step: Step, regions: u64, expected: u64) -> Option<TreePrefix> {
-    let whole = chunk_bytes::of_triangles(expected, regions, BYTES_OF_100_TRIANGLES);
+    let final_bytes = chunk_bytes::of_triangles(expected, regions, BYTES_OF_100_TRIANGLES);
     // A surface that replaces another one at once has to be final.
-    if step.shown == Shown::Alike || whole <= step.line_bytes / AT_ONCE_PART {
+    if step.shown == Shown::Alike || final_bytes <= step.line_bytes / AT_ONCE_DIVISOR {
         return None;
     }
-    let of_coarse = |triangles| chunk_bytes::of_triangles(triangles, regions, BYTES_OF_100_COARSE_TRIANGLES);
-    let largest = whole / TARGET_FINAL_PART;
+    let coarse_bytes = |triangles| chunk_bytes::of_triangles(triangles, regions, BYTES_OF_100_COARSE_TRIANGLES);
+    let largest = final_bytes / TARGET_DIVISOR;
+    let is_long = final_bytes > step.line_bytes.saturating_mul(LONG_STEPS);
     let bytes = match step.made_triangles {
-        0 => (step.line_bytes / FIRST_PART).max(MIN_FIRST_BYTES).min(largest),
-        made if whole > step.line_bytes.saturating_mul(LONG_STEPS) && largest >= of_coarse(made) * MIN_GROWTH => {
-            (of_coarse(made) * GROWTH).min(largest)
-        }
+        0 => (step.line_bytes / FIRST_DIVISOR).max(MIN_FIRST_BYTES).min(largest),
+        shown if is_long && largest >= coarse_bytes(shown) * MIN_GROWTH => (coarse_bytes(shown) * GROWTH).min(largest),
         _ => return None,
     };
     let headers = chunk_bytes::of_headers(regions);
     let triangles_of = |bytes: u64| bytes.saturating_sub(headers) * 100 / BYTES_OF_100_COARSE_TRIANGLES;
-    let (triangles, max_triangles) = (triangles_of(bytes), triangles_of(whole / MAX_FINAL_PART));
+    let (triangles, max_triangles) = (triangles_of(bytes), triangles_of(final_bytes / MAX_DIVISOR));
     (triangles >= MIN_TRIANGLES).then_some(TreePrefix {
         triangles,
         max_triangles,

@@ -1,4 +1,4 @@
-//! Surfaces as cuts of the vertex tree: those that an error or a budget decides.
+//! Surfaces that are cuts of the vertex tree, for views that an error or a budget decides.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -12,7 +12,7 @@ use isopeel_view::quality::{Fitted, MaxError};
 use isopeel_volumes::VolumeStep;
 
 use super::context::JobContext;
-use super::decisions::{Decided, TreeCut, lesser};
+use super::decisions::{Decided, TreeCut, milder_refusal};
 use super::intersections::{CapFaces, intersecting_vertices};
 use super::job_error::JobError;
 use super::on_device::{Nodes, OnDevice};
@@ -22,11 +22,12 @@ use super::tree_steps::TreePrefix;
 use super::workspace::Workspace;
 use super::{CutId, Refinement, WorkError};
 
-/// Full surfaces of more triangles are first shown as cubes, before their tree is built: on an H200 a tree of this size takes about 20 ms.
+/// Maximum triangles of a full surface whose tree is built before the first step. On an H200 building such a tree takes about 20 ms. A
+/// larger surface is first shown as a cut of cubes.
 const MAX_FULL_TRIANGLES: u64 = 1_500_000;
 
 impl Workspace {
-    /// Makes the final surface of a view as a cut of the vertex tree; `None` if there is no tree, or no cut of it is small enough.
+    /// Makes the final surface of a view as a cut of the vertex tree. `None` if there is no tree, or if no cut of the tree is small enough.
     ///
     /// # Errors
     /// [`JobError`].
@@ -38,9 +39,9 @@ impl Workspace {
         context: &mut JobContext<'_, Self>,
     ) -> Result<Option<Refinement>, JobError> {
         let start = Instant::now();
-        self.with_pyramid(volume, view, Nodes::All, context, |on, view, cancel| {
-            Ok(match on.tree_surface(view, ceiling_triangles, false, cancel)? {
-                TreeCut::Made(surface) => Some(on.tree_refinement(surface, view, on.own_time(start))),
+        self.with_pyramid(volume, view, Nodes::All, context, |job, view, cancel| {
+            Ok(match job.tree_surface(view, ceiling_triangles, false, cancel)? {
+                TreeCut::Made(surface) => Some(job.tree_refinement(surface, view, job.own_time(start))),
                 TreeCut::Refused(_) | TreeCut::NoTree => None,
             })
         })
@@ -55,17 +56,17 @@ impl OnDevice<'_> {
         tree.is_of(self.pyramid).then(|| Arc::clone(tree))
     }
 
-    /// Whether the tree is built so quickly that other jobs can wait for it.
+    /// Whether building the tree takes so little time that other jobs can wait for it.
     pub(crate) fn builds_tree_soon(&self) -> bool {
         self.engine.device().kind != DeviceKind::Cpu && self.pyramid.full_triangles() <= MAX_FULL_TRIANGLES
     }
 
-    /// Returns the vertex tree, which is built if it is not cached. `None`: the surface is too large for a tree on this device; a cut of
+    /// Returns the vertex tree. Builds the tree if it is not cached. `None` if the surface is too large for a tree on this device; a cut of
     /// cubes needs less memory.
     ///
     /// # Errors
     /// [`WorkError::NoTree`] if parts are to be removed, because cubes contain all parts; [`JobError::TakesLong`] if a short job would have
-    /// to build it; and the device's errors.
+    /// to build the tree; and the device's errors.
     pub(crate) fn tree(
         &self,
         view: &View,
@@ -90,7 +91,7 @@ impl OnDevice<'_> {
             }
             tree => Arc::new(tree?),
         };
-        self.keep_tree(&tree);
+        self.cache_tree(&tree);
         Ok(Some(tree))
     }
 
@@ -102,7 +103,8 @@ impl OnDevice<'_> {
         }
     }
 
-    /// Returns how far a view's error and budget cut the tree. A budget that is a share counts the full surface without removed parts.
+    /// Returns the limits of a view's error and budget for cutting the tree. A budget that is a share is a share of the full surface
+    /// without removed parts.
     pub(crate) fn tree_goal(
         &self,
         view: &View,
@@ -117,7 +119,7 @@ impl OnDevice<'_> {
                 .engine
                 .removed_parts(self.volume, self.pyramid, tree, params, &without, cancel)?;
             full -= removed.full_triangles;
-            self.keep_tree(tree);
+            self.cache_tree(tree);
         }
         Ok(TreeGoal {
             tolerance: view
@@ -129,7 +131,7 @@ impl OnDevice<'_> {
         })
     }
 
-    /// Which parts a view leaves out.
+    /// Returns the rules by which a view leaves out parts.
     fn part_filter(&self, view: &View) -> PartFilter {
         let index_of = |position| index_inside(&self.index_space, self.volume.grid().dims, position);
         PartFilter {
@@ -138,8 +140,8 @@ impl OnDevice<'_> {
         }
     }
 
-    /// Caches a tree, whose size grows once its parts are known.
-    pub(crate) fn keep_tree(&self, tree: &Arc<VertexTree>) {
+    /// Caches a tree. Called again once the tree's parts are known, because its size grows then.
+    pub(crate) fn cache_tree(&self, tree: &Arc<VertexTree>) {
         lock(self.trees).insert(self.key.clone(), tree.device_bytes(), Arc::clone(tree));
     }
 
@@ -159,8 +161,8 @@ impl OnDevice<'_> {
     /// Cuts the tree to a view's error and budget.
     ///
     /// # Errors
-    /// [`WorkError::NoTree`], [`JobError::TakesLong`], and the device's errors. If parts are to be removed, a cut that is refused is an
-    /// error too, because cubes contain all parts.
+    /// [`WorkError::NoTree`], [`JobError::TakesLong`], and the device's errors. If parts are to be removed, a refused cut is an error
+    /// too, because cubes contain all parts.
     pub(crate) fn tree_surface(
         &self,
         view: &mut View,
@@ -203,8 +205,8 @@ impl OnDevice<'_> {
         Ok(TreeCut::Made(self.with_all_stages(surface)))
     }
 
-    /// Makes a coarser cut of the tree than the view's final one. It has the same parts and topology, but no guard on the error. `None` if
-    /// there is no tree, or no cut of it has so few triangles.
+    /// Makes a coarser cut of the tree than the view's final one. The coarser cut has the same parts and topology, but no guard on the
+    /// error. `None` if there is no tree, or if no cut of the tree has so few triangles.
     pub(crate) fn tree_prefix(
         &self,
         view: &View,
@@ -273,12 +275,12 @@ impl OnDevice<'_> {
     }
 
     /// Makes the surface of a view that an error or a budget decides: a cut of the tree, or a cut of cubes. `tree_first`: whether to cut
-    /// the tree first, because it is cached or quickly built. Otherwise cubes are tried first, and a cut of the tree can replace them
+    /// the tree first, because the tree is cached or quickly built. Otherwise cubes are tried first, and a cut of the tree can replace them
     /// later. The order affects only the time to the final surface: a view is refused only if both cuts are.
     ///
     /// # Errors
     /// As [`OnDevice::tree_surface`] and [`OnDevice::fitted_cut`].
-    pub(crate) fn decided(
+    pub(crate) fn decide(
         &self,
         view: &mut View,
         ceiling: u64,
@@ -312,11 +314,11 @@ impl OnDevice<'_> {
                 TreeCut::NoTree => {}
             }
         }
-        Err(lesser(tree_refusal, refusal).into())
+        Err(milder_refusal(tree_refusal, refusal).into())
     }
 
-    /// Returns a cut of the tree as the last step towards its view. The next surface after it is made in full, because a cut of the tree
-    /// has no states of cubes to compare.
+    /// Returns a cut of the tree as the last step towards its view. The next surface is made in full, because a cut of the tree has no
+    /// states of cubes to compare.
     pub(crate) fn tree_refinement(&self, surface: Surface, view: &View, wall: Duration) -> Refinement {
         Refinement {
             is_final: true,

@@ -9,7 +9,7 @@ use super::keys::VolumeKey;
 use super::workspace::Workspace;
 
 impl Workspace {
-    /// Allocates a field on the device, and evicts the least recently used fields to make space for it.
+    /// Allocates a field on the device. Evicts the least recently used fields to make space for it.
     ///
     /// # Errors
     /// The device's errors.
@@ -23,7 +23,8 @@ impl Workspace {
         let bytes = self.engine().upload_bytes(grid.grid(), sample_type.bytes());
         self.uploads.remove(&key);
         self.evict_for(bytes + self.upload_bytes());
-        let upload = self.or_without_caches(|state| state.engine().begin_upload(grid, sample_type, missing))?;
+        let upload =
+            self.or_after_clearing_caches(|workspace| workspace.engine().begin_upload(grid, sample_type, missing))?;
         self.uploads.insert(key, (bytes, upload));
         Ok(())
     }
@@ -36,7 +37,7 @@ impl Workspace {
         let Some((bytes, mut upload)) = self.uploads.remove(key) else {
             return Ok(());
         };
-        self.or_without_caches(|state| state.engine().continue_upload(&mut upload, samples))?;
+        self.or_after_clearing_caches(|workspace| workspace.engine().continue_upload(&mut upload, samples))?;
         self.uploads.insert(key.clone(), (bytes, upload));
         Ok(())
     }
@@ -49,17 +50,17 @@ impl Workspace {
         let Some((bytes, mut upload)) = self.uploads.remove(key) else {
             return Ok(true);
         };
-        let is_complete = self.or_without_caches(|state| state.engine().continue_table(&mut upload));
+        let is_complete = self.or_after_clearing_caches(|workspace| workspace.engine().continue_table(&mut upload));
         self.uploads.insert(key.clone(), (bytes, upload));
         is_complete
     }
 
-    /// Makes a field resident once all of its samples are on the device, unless its upload was dropped. `ahead`: whether the field was read
-    /// ahead, before a viewer needed it.
+    /// Makes a field resident once all of its samples are on the device, unless its upload was dropped. `is_ahead`: whether the field was
+    /// read ahead, before a viewer needed it.
     ///
     /// # Errors
     /// The device's errors.
-    pub fn finish_upload(&mut self, key: VolumeKey, ahead: bool) -> Result<(), JobError> {
+    pub fn finish_upload(&mut self, key: VolumeKey, is_ahead: bool) -> Result<(), JobError> {
         let Some((bytes, upload)) = self.uploads.remove(&key) else {
             return Ok(());
         };
@@ -69,10 +70,10 @@ impl Workspace {
             field = key.field,
             step = key.step.step,
             bytes,
-            ahead,
+            ahead = is_ahead,
             "volume resident"
         );
-        if ahead {
+        if is_ahead {
             self.ahead.push(key.clone());
         }
         self.add_volume(key, bytes, Arc::new(volume));
@@ -84,13 +85,13 @@ impl Workspace {
         self.uploads.remove(key);
     }
 
-    /// Bytes of the fields that are being loaded.
+    /// Returns the bytes of the fields that are being uploaded.
     pub(crate) fn upload_bytes(&self) -> u64 {
         self.uploads.values().map(|(bytes, _)| bytes).sum()
     }
 
     /// Runs an allocation on the device. If the device is out of memory, drops all caches and retries once.
-    fn or_without_caches<T>(&mut self, mut work: impl FnMut(&Self) -> Result<T, Error>) -> Result<T, JobError> {
+    fn or_after_clearing_caches<T>(&mut self, mut work: impl FnMut(&Self) -> Result<T, Error>) -> Result<T, JobError> {
         match work(self) {
             Err(Error::OutOfDeviceMemory { .. }) if self.free_all_but(&[]) => Ok(work(self)?),
             other => Ok(other?),

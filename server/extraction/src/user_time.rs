@@ -6,10 +6,10 @@ use std::time::{Duration, Instant};
 
 use isopeel_kernels::lock;
 
-/// Period in which a user may take the limit.
+/// Period in which a user may take device time up to the limit.
 pub const USER_TIME_PERIOD: Duration = Duration::from_secs(600);
 
-/// Number of entries above which the entries of users are dropped who have their whole limit available.
+/// Number of entries at which the entries of users who have their whole limit available are dropped.
 const MANY_USERS: usize = 1024;
 
 /// Device time that users have taken.
@@ -19,23 +19,23 @@ pub struct UserTimes {
     taken: Mutex<HashMap<Arc<str>, Taken>>,
 }
 
-/// Device time that a user had taken at a given moment. It is restored evenly, the whole limit in one period.
+/// Device time that a user had taken at a given moment. It decreases evenly, by the whole limit in one period.
 #[derive(Clone, Copy)]
 struct Taken {
     time: Duration,
-    at: Instant,
+    since: Instant,
 }
 
 impl Taken {
     /// Returns the part of the taken time that still counts.
     fn remaining(self, limit: Duration, now: Instant) -> Duration {
-        let back = now.saturating_duration_since(self.at).as_secs_f64() / USER_TIME_PERIOD.as_secs_f64();
-        self.time.saturating_sub(limit.mul_f64(back))
+        let periods = now.saturating_duration_since(self.since).as_secs_f64() / USER_TIME_PERIOD.as_secs_f64();
+        self.time.saturating_sub(limit.mul_f64(periods))
     }
 }
 
 impl UserTimes {
-    /// Begins with users who have taken no time. `limit`: maximum time of a user; `None`: there is no limit.
+    /// Creates the state in which no user has taken time. `limit`: maximum time of a user; `None`: there is no limit.
     pub fn new(limit: Option<Duration>) -> Arc<Self> {
         Arc::new(Self {
             limit,
@@ -60,7 +60,7 @@ pub(crate) struct TimeLeft {
 }
 
 impl Payer {
-    /// Returns the payer of this name.
+    /// Returns the user of this name as payer.
     pub fn new(times: &Arc<UserTimes>, user: &str) -> Self {
         Self {
             times: Arc::clone(times),
@@ -72,16 +72,16 @@ impl Payer {
     pub(crate) fn left(&self, now: Instant) -> Option<TimeLeft> {
         let limit = self.times.limit?;
         let taken = lock(&self.times.taken).get(&self.user).copied();
-        let counts = taken.map_or(Duration::ZERO, |taken| taken.remaining(limit, now));
-        let too_much = counts.saturating_sub(limit.mul_f64(0.9)).as_secs_f64() / limit.as_secs_f64();
+        let used = taken.map_or(Duration::ZERO, |taken| taken.remaining(limit, now));
+        let excess = used.saturating_sub(limit.mul_f64(0.9)).as_secs_f64() / limit.as_secs_f64();
         Some(TimeLeft {
             limit,
-            available: limit.saturating_sub(counts),
-            wait: USER_TIME_PERIOD.mul_f64(too_much),
+            available: limit.saturating_sub(used),
+            wait: USER_TIME_PERIOD.mul_f64(excess),
         })
     }
 
-    /// Adds time that was taken.
+    /// Charges the user for device time.
     pub(crate) fn charge(&self, time: Duration, now: Instant) {
         let Some(limit) = self.times.limit else {
             return;
@@ -93,7 +93,7 @@ impl Payer {
         let before = taken.get(&self.user).copied();
         let before = before.map_or(Duration::ZERO, |taken| taken.remaining(limit, now));
         let time = before + time;
-        taken.insert(Arc::clone(&self.user), Taken { time, at: now });
+        taken.insert(Arc::clone(&self.user), Taken { time, since: now });
     }
 }
 

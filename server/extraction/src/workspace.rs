@@ -1,4 +1,4 @@
-//! A device with its resident volumes, and what earlier edits have made: pyramids, vertex trees, cuts, histograms.
+//! A device with its resident volumes, and cached data of earlier edits: pyramids, vertex trees, cuts, histograms.
 
 use std::collections::{HashMap, HashSet};
 use std::sync::{Arc, Mutex};
@@ -26,17 +26,18 @@ use super::shares::Shares;
 use super::user_time::UserTimes;
 use super::{WorkError, chain};
 
-/// Share of the device's memory for resident volumes, in percent. The rest is for pyramids (`shares`), the stages' buffers and other processes.
+/// Share of the device's memory for resident volumes, in percent. The rest is for caches (`shares`), buffers of the stages, and other
+/// processes.
 const VOLUME_PERCENT: u64 = 50;
 
 /// Cache of vertex trees, by the keys of their pyramids.
 pub(crate) type Trees = Lru<PyramidKey, Arc<VertexTree>>;
 
-/// What a workspace shares with its owner, and its limits.
+/// Limits of a workspace, and state that it shares with its owner.
 pub struct Options {
-    /// Histograms that were made; kept when the workspace is made again.
+    /// Cache of histograms, which outlives the workspace of a lost device.
     pub histograms: HistogramCache,
-    /// Volumes that are not evicted.
+    /// Pins of volumes that must not be evicted.
     pub pins: Pins,
     /// Time steps that viewers have open.
     pub open_steps: OpenSteps,
@@ -44,9 +45,9 @@ pub struct Options {
     pub surface_bytes: Option<u64>,
     /// Maximum device time for computing one field; `None`: no limit.
     pub request_time: Option<Duration>,
-    /// Device time that users have taken for computed fields; kept when the workspace is made again.
+    /// Device time that users have taken for computed fields. Outlives the workspace of a lost device.
     pub user_times: Arc<UserTimes>,
-    /// Counters and timers.
+    /// Receives events for counters and timers.
     pub observer: Arc<dyn Observer + Send + Sync>,
     /// Pool for long work on the host's processors; `None`: rayon's own.
     pub long_work: Option<Arc<ThreadPool>>,
@@ -67,13 +68,13 @@ impl Default for Options {
     }
 }
 
-/// A device, the fields that are resident on it, and what earlier edits have made. Data that work uses is reference-counted: it lives until
-/// the work ends, even if other work in a pause evicts it.
+/// A device, the fields that are resident on it, and cached data of earlier edits. Data that work uses is reference-counted: it lives until
+/// the work ends, even if other work evicts it in a pause.
 pub struct Workspace {
     engine: Arc<Engine>,
     pub(crate) id: EngineId,
     pub(crate) volumes: Lru<VolumeKey, Arc<Volume>>,
-    /// Volumes that were read ahead and are not used yet, the oldest first.
+    /// Volumes that were read ahead and not used yet, the oldest first.
     pub(crate) ahead: Vec<VolumeKey>,
     /// Resident fields that the device has computed from others, by an expression or a mask.
     pub(crate) computed: HashSet<VolumeKey>,
@@ -92,7 +93,7 @@ pub struct Workspace {
     pub(crate) long_work: Option<Arc<ThreadPool>>,
     /// Fields that are being loaded, each with its bytes on the device.
     pub(crate) uploads: HashMap<VolumeKey, (u64, Upload)>,
-    /// Whether the device no longer answers: all its data is gone.
+    /// Whether the device no longer answers, so that all of its data is gone.
     is_lost: bool,
 }
 
@@ -140,18 +141,19 @@ impl Workspace {
         self.id
     }
 
-    /// Whether the device was found not to answer any more: all its data is gone.
+    /// Whether a call has found that the device no longer answers. If so, all of its data is gone.
     pub fn is_lost(&self) -> bool {
         self.is_lost
     }
 
-    /// Classifies a failure: if the device no longer answers, it is lost, whatever error the driver has reported.
+    /// Checks after a failure whether the device was lost. If the device no longer answers, returns [`WorkError::DeviceLost`] in place of
+    /// the driver's error.
     pub fn look_for_loss(&mut self, error: JobError) -> JobError {
         let JobError::Failed(WorkError::Device(cause) | WorkError::NoTree(cause)) = &error else {
             return error;
         };
-        let is_of_the_driver = matches!(cause, Error::Launch { .. } | Error::OutOfDeviceMemory { .. });
-        if !is_of_the_driver || (!self.is_lost && self.engine.answers()) {
+        let is_driver_error = matches!(cause, Error::Launch { .. } | Error::OutOfDeviceMemory { .. });
+        if !is_driver_error || (!self.is_lost && self.engine.answers()) {
             return error;
         }
         if !self.is_lost {
@@ -162,7 +164,7 @@ impl Workspace {
         WorkError::DeviceLost.into()
     }
 
-    /// Frees all that it can of what the device holds.
+    /// Frees all volumes and cached data on the device, except data that is in use.
     pub fn clear(&mut self) {
         self.uploads.clear();
         self.free_all_but(&[]);
@@ -188,10 +190,10 @@ impl Workspace {
         self.resident(key).is_some()
     }
 
-    /// Marks a field as used; returns an error if it is not resident.
+    /// Marks a field as used.
     ///
     /// # Errors
-    /// [`JobError::NotResident`].
+    /// [`JobError::NotResident`] if the field is not resident.
     pub fn use_field(&mut self, volume: &VolumeStep, key: &VolumeKey) -> Result<(), JobError> {
         self.use_fields(volume, std::slice::from_ref(key))
     }
@@ -206,38 +208,38 @@ impl Workspace {
         &self.engine
     }
 
-    /// Returns the engine for work that pauses, during which nothing of the workspace is borrowed.
+    /// Returns the engine for work that pauses. Such work must not borrow the workspace, because other work changes it in the pauses.
     pub(crate) fn shared_engine(&self) -> Arc<Engine> {
         Arc::clone(&self.engine)
     }
 
-    /// Evicts the least recently used volumes that are not pinned, until `bytes` fit beside the rest.
+    /// Evicts the least recently used volumes that are not pinned, until `bytes` fit beside the remaining volumes.
     pub(crate) fn evict_for(&mut self, bytes: u64) {
         let pins = &self.pins;
         self.volumes.evict_for(bytes, |key| !pins.holds(key));
     }
 
+    /// Makes a volume resident. The caller has evicted others to make space for it.
     pub(crate) fn add_volume(&mut self, key: VolumeKey, bytes: u64, volume: Arc<Volume>) {
         self.volumes.add(key, bytes, volume);
         self.forget_evicted();
     }
 
-    /// Forgets computed fields that are no longer resident.
+    /// Removes fields that are no longer resident from the list of computed fields.
     pub(crate) fn forget_evicted(&mut self) {
         let volumes = &self.volumes;
         self.computed.retain(|key| volumes.peek(key).is_some());
     }
 
     /// Returns the bytes of cached pyramids, trees and cuts, without freed buffers.
-    pub(crate) fn kept_surface_bytes(&self) -> u64 {
+    pub(crate) fn cached_surface_bytes(&self) -> u64 {
         self.pyramids.cost() + lock(&self.trees).cost() + lock(&self.cuts).cost()
     }
 
-    /// Fills in isovalue and feature range from cached histograms. If any is missing, returns an error that names all missing ones, so that
-    /// the caller makes them before the next attempt.
+    /// Fills in isovalue and feature range from cached histograms.
     ///
     /// # Errors
-    /// [`JobError`].
+    /// [`JobError::NeedsHistograms`] with all histograms that are not cached; the caller makes them before the next attempt.
     pub fn resolve(&mut self, volume: &VolumeStep, view: &mut View) -> Result<(), JobError> {
         if view.iso.is_some() && view.feature_range.is_some() {
             return Ok(());
@@ -248,29 +250,29 @@ impl Workspace {
         let needs_feature = view.feature_range.is_none() && view.feature != FeatureName::None;
         let mut missing = Vec::new();
         let mut cached = |key: &HistogramKey, is_needed: bool| {
-            let found = is_needed.then(|| self.histograms.get(key))?;
-            if found.is_none() {
+            let histogram = is_needed.then(|| self.histograms.get(key))?;
+            if histogram.is_none() {
                 missing.push(key.clone());
             }
-            found
+            histogram
         };
-        let (of_field, of_feature) = (cached(&field, needs_field), cached(&feature, needs_feature));
+        let (field_histogram, feature_histogram) = (cached(&field, needs_field), cached(&feature, needs_feature));
         if !missing.is_empty() {
             return Err(JobError::NeedsHistograms(missing));
         }
-        let known = volume.dataset().field(&view.field);
+        let stored_field = volume.dataset().field(&view.field);
         let (unit, has_labels) = (
-            known.and_then(|field| field.unit.as_deref()),
-            known.is_some_and(Field::has_labels),
+            stored_field.and_then(|field| field.unit.as_deref()),
+            stored_field.is_some_and(Field::has_labels),
         );
-        let opening_iso = of_field.map(|histogram| OpeningIso::of(&histogram, unit, has_labels));
+        let opening_iso = field_histogram.map(|histogram| OpeningIso::of(&histogram, unit, has_labels));
         view.resolve(
             || opening_iso.ok_or(JobError::Failed(WorkError::Stopped)),
-            || of_feature.ok_or(JobError::Failed(WorkError::Stopped)),
+            || feature_histogram.ok_or(JobError::Failed(WorkError::Stopped)),
         )
     }
 
-    /// Resolves a view as [`Workspace::resolve`] does, and marks the fields as used that its surface is made of.
+    /// Resolves a view as [`Workspace::resolve`] does, and marks the fields of which its surface is made as used.
     ///
     /// # Errors
     /// [`JobError`]; [`WorkError::Edit`] if there is no isovalue to choose.
@@ -281,17 +283,20 @@ impl Workspace {
         Ok(())
     }
 
-    /// Returns the keys of the fields that a view uses, and marks the fields as used. Returns an error if one is not resident.
+    /// Marks the fields that a view uses as used, and returns their keys.
     ///
     /// # Errors
-    /// [`JobError`].
+    /// [`JobError::NotResident`] if one of them is not resident.
     pub(crate) fn require(&mut self, volume: &VolumeStep, view: &View) -> Result<Vec<VolumeKey>, JobError> {
         let keys = view_keys(volume, view);
         self.use_fields(volume, &keys)?;
         Ok(keys)
     }
 
-    /// Marks fields as used. If one is not resident, returns an error that names all of them.
+    /// Marks fields as used.
+    ///
+    /// # Errors
+    /// [`JobError::NotResident`] with all of the fields if one of them is not resident.
     pub(crate) fn use_fields(&mut self, volume: &VolumeStep, keys: &[VolumeKey]) -> Result<(), JobError> {
         self.ahead.retain(|key| !keys.contains(key));
         let missing = keys.iter().filter(|key| self.volumes.get(key).is_none()).count();
@@ -316,9 +321,9 @@ impl Workspace {
     }
 
     /// Returns [`JobError::NotResident`] with the fields that a job needs. If they cannot be resident together, returns
-    /// [`WorkError::TooLarge`], so that no file is read in vain.
+    /// [`WorkError::TooLarge`] instead, because it would be useless to read their files.
     fn not_resident(&self, volume: &VolumeStep, keys: &[VolumeKey]) -> JobError {
-        // Includes the inputs of computed fields: all of them are pinned together until the fields are made.
+        // Includes the inputs of computed fields, because all inputs are pinned together until the fields are computed.
         let needed = |masking| {
             let needed = self.bytes_of(volume, &with_inputs(volume, keys, masking))?;
             let bytes: u64 = needed.iter().map(|(_, bytes)| bytes).sum();
@@ -326,11 +331,11 @@ impl Workspace {
         };
         let budget = self.volumes.budget();
         // If fields are masked on the host, only the result is on the device.
-        let found = match needed(Masking::OnDevice) {
+        let fields = match needed(Masking::OnDevice) {
             Ok((_, bytes)) if bytes > budget => needed(Masking::OnHost),
-            found => found,
+            fields => fields,
         };
-        match found {
+        match fields {
             Ok((_, needed_bytes)) if needed_bytes > budget => JobError::Failed(WorkError::TooLarge {
                 needed_bytes,
                 limit_bytes: budget,
@@ -340,7 +345,7 @@ impl Workspace {
         }
     }
 
-    /// Returns the fields with their bytes on the device.
+    /// Returns the fields, each with the bytes that it takes on the device.
     pub(crate) fn bytes_of(&self, volume: &VolumeStep, keys: &[VolumeKey]) -> Result<Vec<(VolumeKey, u64)>, WorkError> {
         let bytes = |key: &VolumeKey| {
             let grid = padded_grid(volume, key.padded)?;
@@ -352,7 +357,7 @@ impl Workspace {
         keys.iter().map(bytes).collect()
     }
 
-    /// Frees all cached pyramids, trees and cuts, and all volumes except these. Returns false if there was nothing to free.
+    /// Frees all cached pyramids, trees and cuts, and all volumes except those of `keys`. Returns false if there was nothing to free.
     pub(crate) fn free_all_but(&mut self, keys: &[VolumeKey]) -> bool {
         let (mut trees, mut cuts) = (lock(&self.trees), lock(&self.cuts));
         let (before, cut_bytes) = (

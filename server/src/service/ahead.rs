@@ -1,5 +1,5 @@
-//! Read-ahead: while a viewer goes through the time steps one by one, the server loads the next step before the viewer reaches it. It never
-//! evicts data in use for this: neither volumes that jobs work on (`pins`), nor time steps that viewers have open
+//! Read-ahead: while a viewer goes through the time steps one by one, the server loads the next step before the viewer reaches it.
+//! Read-ahead never evicts data in use: neither volumes that jobs work on (`pins`), nor time steps that viewers have open
 //! ([`OpenStepGuard`]).
 
 use isopeel_extraction::{MakeSpaceAhead, Masking, OpenStepGuard, VolumeKey, WorkError, view_keys, with_inputs};
@@ -15,8 +15,9 @@ impl DeviceWorker {
         self.shared.open_steps.mark(&volume.key())
     }
 
-    /// Loads the fields that views use onto the device, if they fit into the `budget` bytes of fields that were read ahead and are not used
-    /// yet, and beside all volumes in use. A load that has begun is finished unless `token` is cancelled, even if the future is dropped.
+    /// Loads the fields that views use onto the device, one after the other. Stops at the first field that is resident or does not fit. A
+    /// field fits if there is space beside all volumes in use, and if it does not raise the bytes of fields that were read ahead but not
+    /// used yet above `budget`. A load that has begun is finished unless `token` is cancelled, even if the future is dropped.
     ///
     /// # Errors
     /// Errors of the file or of the device.
@@ -32,9 +33,9 @@ impl DeviceWorker {
         }
         let mut keys: Vec<VolumeKey> = Vec::new();
         for view in views {
-            // Reads only fields that come from files: the device computes the others from them when they are needed.
-            let all = with_inputs(volume, &view_keys(volume, view), Masking::OnDevice);
-            for key in all.into_iter().filter(|key| !key.is_computed(volume)) {
+            // Reads only fields that come from files. The device computes the other fields from these when they are needed.
+            let inputs = with_inputs(volume, &view_keys(volume, view), Masking::OnDevice);
+            for key in inputs.into_iter().filter(|key| !key.is_computed(volume)) {
                 if !keys.contains(&key) {
                     keys.push(key);
                 }
@@ -54,8 +55,8 @@ impl DeviceWorker {
         Ok(())
     }
 
-    /// Makes space on the device for a field that is not resident. Returns false if there is nothing to load: the field is resident, or space
-    /// for it would exceed the budget or take memory from data in use.
+    /// Makes space on the device for a field that is not resident. Returns false if the field is not to be loaded, because it is resident,
+    /// or because space for it would exceed the budget or take memory from data in use.
     async fn make_space_ahead(&self, volume: &VolumeStep, key: &VolumeKey, budget: u64) -> Result<bool, WorkError> {
         let request = MakeSpaceAhead {
             volume: volume.clone(),

@@ -1,4 +1,5 @@
-//! Retries a job until it has a result: after its volumes were loaded or its histograms made, as a long job, or on a reopened device.
+//! Retries a job until it has a result. Before a retry, its volumes are loaded, its histograms are made, or the device is reopened. A job
+//! that takes long is retried as a long job.
 
 use std::pin::Pin;
 
@@ -10,15 +11,15 @@ use super::job::length_of;
 use super::scheduler::Caller;
 use super::worker::{DeviceWorker, reply_of};
 
-/// Maximum attempts at a request's job before it fails with [`WorkError::Busy`]. Loading its volumes once is not always enough: if the
-/// device runs out of memory, all volumes except those of the running job are evicted, even pinned ones. Jobs of viewers and of caches are
-/// retried without a limit.
+/// Maximum attempts at a request's job before the job fails with [`WorkError::Busy`]. Loading the job's volumes once is not always enough:
+/// if the device runs out of memory, all volumes except those of the running job are evicted, even pinned ones. Jobs of viewers and of
+/// caches are retried without a limit.
 const MAX_REQUEST_ATTEMPTS: usize = 6;
 
-/// Maximum retries of a job during which the device was lost, because the job itself may be the cause.
+/// Maximum retries of a job after the device was lost while the job ran. There are few, because the job itself may be the cause.
 const MAX_DEVICE_LOSSES: usize = 1;
 
-/// State of the retries of a job, or of a sequence of slices of work.
+/// State of the retries of a job, or of all slices of one piece of work.
 #[derive(Default)]
 pub(super) struct Retries {
     /// Keeps the fields that were loaded for the next attempt resident.
@@ -27,8 +28,8 @@ pub(super) struct Retries {
 }
 
 impl DeviceWorker {
-    /// Prepares another attempt after a failure: loads and pins fields that were not resident, makes histograms, or counts a loss of the
-    /// device.
+    /// Prepares another attempt after a failure: loads and pins the fields that were not resident, makes the missing histograms, or counts
+    /// a loss of the device.
     ///
     /// # Errors
     /// The failure, if another attempt would fail as well.
@@ -62,8 +63,11 @@ impl DeviceWorker {
         }
     }
 
-    /// Runs a request until it has a result. Retries it after loading volumes that were not resident or making histograms, after the check of
-    /// a program that it needs, as a long job if it takes long, and on a device that was reopened.
+    /// Runs a request until it has a result. Retries the request
+    /// - after volumes that were not resident were loaded, or missing histograms were made,
+    /// - after a program that it needs has passed its check,
+    /// - as a long job if it takes long,
+    /// - after a lost device was reopened.
     ///
     /// # Errors
     /// [`WorkError`].
@@ -80,8 +84,8 @@ impl DeviceWorker {
         };
         while attempts > 0 {
             let attempt = request.clone().into();
-            let length_now = length.unwrap_or_else(|| length_of(&attempt, caller));
-            let error = match self.run_as(length_now, caller, attempt, token).await {
+            let attempt_length = length.unwrap_or_else(|| length_of(&attempt, caller));
+            let error = match self.run_as(attempt_length, caller, attempt, token).await {
                 Ok(reply) => return reply_of::<R>(reply),
                 Err(error) => error,
             };
@@ -97,8 +101,8 @@ impl DeviceWorker {
         Err(WorkError::Busy)
     }
 
-    /// As [`DeviceWorker::perform`], for a slice of work on a whole volume ([`DeviceWorker::run_slice`]). `retries`: those of all slices of the
-    /// work.
+    /// As [`DeviceWorker::perform`], for a slice of work on a whole volume ([`DeviceWorker::run_slice`]). `retries`: those of all slices of
+    /// the work.
     ///
     /// # Errors
     /// [`WorkError`].
@@ -108,11 +112,14 @@ impl DeviceWorker {
         request: R,
         retries: &mut Retries,
     ) -> Result<R::Reply, WorkError> {
-        let never = CancellationToken::new();
+        let never_cancelled = CancellationToken::new();
         loop {
             match self.run_slice(caller, request.clone()).await {
                 Ok(reply) => return Ok(reply),
-                Err(error) => self.prepare_retry(request.volume(), error, retries, &never).await?,
+                Err(error) => {
+                    self.prepare_retry(request.volume(), error, retries, &never_cancelled)
+                        .await?
+                }
             }
         }
     }
@@ -133,7 +140,7 @@ impl DeviceWorker {
                 Ok(())
             };
             tokio::select! {
-                made = make => made,
+                outcome = make => outcome,
                 () = token.cancelled() => Err(WorkError::Cancelled),
             }
         })

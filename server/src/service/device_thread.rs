@@ -1,8 +1,8 @@
 //! The device's thread: opens the device, runs jobs, and reopens the device after it was lost.
 //!
 //! A driver reports a lost device only by failing each call, sometimes with "out of resources". So after a failure the thread reads back a
-//! byte from the device. If that fails, the device is lost with all data on it. Jobs then find that their volumes are not resident, and
-//! load them again.
+//! byte from the device. If that fails too, the device is lost with all of its data. Later jobs find that their volumes are not resident,
+//! and their callers load the volumes again.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -44,7 +44,7 @@ impl Observer for Metrics {
     }
 }
 
-/// Held while a device is being opened.
+/// Locked while a device is being opened.
 static OPENING: Mutex<()> = Mutex::new(());
 
 /// State of the device.
@@ -75,14 +75,14 @@ pub struct Preparation {
 /// The device to open, and how.
 #[derive(Default)]
 pub struct Choice {
-    /// Its index or a part of its name, as `isopeel devices` lists them; `None`: the first device.
+    /// Index of the device or a part of its name, as `isopeel devices` lists them; `None`: the first device.
     pub selector: Option<String>,
-    /// How its kernels are built and launched, if not by default.
+    /// How the kernels are built and launched, if not by default.
     pub tuning: Option<Tuning>,
     /// Whether the user trusts the device without a check.
     pub is_trusted: bool,
-    /// Programs that have passed the check so far; `None` if the check is complete. Until then only these and the programs of a first
-    /// surface are run.
+    /// Programs that have passed the check so far; `None` if the check is complete. Until the check is complete, only these programs and
+    /// those of a first surface run.
     pub proven: Option<Arc<Proven>>,
 }
 
@@ -95,12 +95,12 @@ pub enum ChoiceError {
     NewProcess,
 }
 
-/// Reports the progress before the device is open, and failures of the check, which may go on after that.
+/// Reports the progress before the device is open, and failures of the check. The check may continue after the device is open.
 #[derive(Clone)]
 pub struct StateReporter(Arc<watch::Sender<DeviceState>>);
 
 impl StateReporter {
-    /// Reports progress. Without effect once the device is open.
+    /// Reports progress: `done` of `of` steps. Without effect once the device is open.
     pub fn progress(&self, done: usize, of: usize) {
         self.0.send_if_modified(|state| {
             let is_opening = matches!(state, DeviceState::Opening(_));
@@ -116,7 +116,7 @@ impl StateReporter {
         self.0.send_replace(DeviceState::NeedsNewProcess);
     }
 
-    /// Reports that the device must not be used any more. The server ends with this text.
+    /// Reports that the device must not be used any more. The server ends with the error message `why`.
     pub fn refuse(&self, why: String) {
         self.0
             .send_replace(DeviceState::Failed(Arc::new(OpenError::Refused(why))));
@@ -144,7 +144,7 @@ pub struct DeviceOptions {
 }
 
 impl DeviceOptions {
-    /// The device that `selector` names, opened without a check.
+    /// Returns options to open the device that `selector` names, without a check.
     pub fn unchecked(selector: Option<String>) -> Self {
         Self {
             choose: Box::new(|_| {
@@ -162,7 +162,7 @@ impl DeviceOptions {
     }
 }
 
-/// What the device's thread needs beside the choice of the device.
+/// Options and shared state of the device's thread, apart from the choice of the device.
 pub(super) struct DeviceThread {
     pub types: Vec<SampleType>,
     pub retries_opening: bool,
@@ -246,7 +246,7 @@ impl DeviceThread {
         if let Some(proven) = choice.proven.clone() {
             engine.set_gate(Box::new(move |program| proven.has_passed(program)));
         }
-        // PoCL ends the process if it cannot write what it has compiled.
+        // PoCL ends the process if it cannot write a compiled program to disk. So each build first checks the space there.
         if engine.device().pocl_version().is_some() {
             engine.check_compiler(Box::new(cache::check_space));
         }
@@ -256,7 +256,7 @@ impl DeviceThread {
     fn report_ready(&self, device: DeviceInfo) {
         tracing::info!(device = device.name, platform = device.platform, "device ready");
         self.state.send_if_modified(|state| {
-            // A check that still runs may have refused the device meanwhile.
+            // A check that is still running may have refused the device meanwhile.
             let is_refused = matches!(state, DeviceState::Failed(_) | DeviceState::NeedsNewProcess);
             if !is_refused {
                 *state = DeviceState::Ready(device);
@@ -267,7 +267,10 @@ impl DeviceThread {
 
     /// Reports a failed attempt to open the device again.
     fn report_lost(&self, error: &OpenError) {
-        tracing::error!(error = chain(error), "the device cannot be opened again so far");
+        tracing::error!(
+            error = chain(error),
+            "the device could not be reopened, and will be tried again"
+        );
         self.state.send_replace(DeviceState::Lost);
     }
 
@@ -293,8 +296,8 @@ impl DeviceThread {
         workspace
     }
 
-    /// Reopens a lost device, and gives it a new workspace. Retries until that succeeds or all handles are dropped; meanwhile waiting jobs
-    /// fail.
+    /// Reopens a lost device, and replaces the workspace. Retries until the device is open or all handles are dropped. Meanwhile waiting
+    /// jobs fail.
     fn reopen(&self, choice: &Choice, workspace: &mut Workspace, queue: &mut Queue<DeviceJob>) {
         self.state.send_replace(DeviceState::Opening(Preparation::default()));
         // Buffers of the lost device may prevent it from being reopened.
@@ -309,10 +312,7 @@ impl DeviceThread {
                     return;
                 }
                 Err(OpenError::Device(error)) if error.needs_new_process() => {
-                    tracing::error!(
-                        error = chain(&error),
-                        "the driver is of no use to this process any more"
-                    );
+                    tracing::error!(error = chain(&error), "this process can no longer use the driver");
                     self.state.send_replace(DeviceState::NeedsNewProcess);
                 }
                 Err(error) => self.report_lost(&error),
@@ -325,7 +325,8 @@ impl DeviceThread {
     }
 }
 
-/// Runs `free`, which drops objects of a lost device. A panic of its driver is logged and otherwise ignored: no caller could act on it.
+/// Runs `free`, which drops objects of a lost device. A panic of the driver is logged and otherwise ignored, because no caller could act on
+/// it.
 fn discard(free: impl FnOnce()) {
     if catch_unwind(AssertUnwindSafe(free)).is_err() {
         tracing::warn!("the driver of the lost device did not free all its objects");

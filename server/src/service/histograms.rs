@@ -1,5 +1,5 @@
 //! Histograms, made in slices of some milliseconds between other jobs: an edit waits for one slice at most, however large the volume is.
-//! Callers of the same histogram share the work. It pauses when all of them are gone, and the next caller continues it.
+//! Callers of the same histogram share the work. The work pauses when all of these callers are gone, and the next caller continues it.
 
 use isopeel_extraction::{ContinueHistogram, HistogramKey, UseHistogramFields, WorkError};
 use isopeel_kernels::Histogram;
@@ -28,6 +28,7 @@ impl DeviceWorker {
             .await
     }
 
+    /// As [`DeviceWorker::histogram`], for a key.
     pub(super) async fn histogram_of(&self, volume: &VolumeStep, key: &HistogramKey) -> Result<Histogram, WorkError> {
         let cached = self.shared.histograms.get(key);
         metrics::looked_up("histogram", cached.is_some());

@@ -1,4 +1,4 @@
-//! A request in the queue of the device's thread.
+//! Jobs: requests in the queue of the device's thread.
 
 use std::time::Instant;
 
@@ -9,7 +9,8 @@ use tokio_util::sync::CancellationToken;
 use super::scheduler::{Caller, Job, Length, PausedQueue, Queue, Token};
 use crate::metrics::{self, JobLabels};
 
-/// Returns how a request shares the device at first. If it then turns out to take long, it is queued again with [`Caller::long`].
+/// Returns the length with which a request is queued first. If its job then fails with [`JobError::TakesLong`], the request is queued again
+/// with the length [`Caller::long`].
 pub(super) fn length_of(request: &DeviceRequest, caller: Caller) -> Length {
     match request {
         DeviceRequest::Extract(_) => caller.long(),
@@ -47,10 +48,12 @@ pub(super) struct DeviceJob {
     pub length: Length,
     pub token: CancellationToken,
     pub reply: oneshot::Sender<Result<DeviceReply, JobError>>,
+    /// Permit of [`super::scheduler::Permits`], released when the job ends.
     pub permit: Option<OwnedSemaphorePermit>,
     /// Span of the caller, to which log entries of the job belong.
     pub span: tracing::Span,
     pub labels: JobLabels,
+    /// When the job was queued.
     pub queued: Instant,
 }
 
@@ -79,7 +82,7 @@ impl Job for DeviceJob {
     }
 }
 
-/// Runs a request, unless it was cancelled. A long one pauses for jobs of higher priority.
+/// Runs a request, unless it was cancelled. A long request pauses for jobs of higher priority.
 fn run(
     request: DeviceRequest,
     workspace: &mut Workspace,

@@ -1,4 +1,5 @@
-//! Loads fields onto the device, and frees those of a time step. Files are read on tokio's blocking pool, never on the device's thread, and uploaded in pieces.
+//! Loads fields onto the device, and frees the fields of a time step. Files are read on tokio's blocking pool, never on the device's
+//! thread, and uploaded in pieces.
 
 use std::pin::Pin;
 use std::sync::Arc;
@@ -27,8 +28,8 @@ enum Purpose {
 }
 
 impl DeviceWorker {
-    /// Makes a field resident. Loads are single-flight: callers of the same field wait for one load. If all callers give up, the load is
-    /// cancelled after a while.
+    /// Makes a field resident. Loads are single-flight: callers of the same field wait for one load. If all callers leave, the load is
+    /// cancelled, as [`FieldLoad::wait`] says.
     pub(super) async fn load(&self, volume: &VolumeStep, key: VolumeKey) -> Result<(), WorkError> {
         let load = self.shared.loads.get_or_insert(&key);
         let _waiting = load.wait();
@@ -60,8 +61,8 @@ impl DeviceWorker {
         outcome
     }
 
-    /// Makes a field resident before a viewer needs it, unless a load of it is running already. Callers that need the field meanwhile wait
-    /// for this load, and keep it running if `token` is cancelled.
+    /// Makes a field resident before a viewer needs it, unless a load of the field is running already. Callers that need the field
+    /// meanwhile wait for this load. If `token` is cancelled, the load continues as long as such callers wait.
     pub(super) async fn load_ahead(
         &self,
         volume: &VolumeStep,
@@ -91,7 +92,7 @@ impl DeviceWorker {
         task.await.unwrap_or(Err(WorkError::Stopped))
     }
 
-    /// Computes a field on the device, or reads it, unless it is resident. The caller holds the lock of the load.
+    /// Makes a field resident, if it is not: computes it on the device, or reads it. The caller must hold the lock of the load.
     async fn load_locked(
         &self,
         volume: &VolumeStep,
@@ -131,7 +132,7 @@ impl DeviceWorker {
         self.admit(volume, &key, purpose).await?;
         let (sender, pieces) = mpsc::channel(1);
         let (read_volume, read_key) = (volume.clone(), key.clone());
-        // If the upload fails or has no space, the receiver is gone. Sending then fails, which ends the reading.
+        // If the upload fails or has no space, it drops the receiver. Then sending fails, which ends the reading.
         let mut send = move |piece| sender.blocking_send(piece).is_ok();
         let read = move || read(&read_volume, &read_key, &progress, &mut send);
         let reading = tokio::task::spawn_blocking(|| ReadPool::start().run(read));
@@ -160,15 +161,15 @@ impl DeviceWorker {
         }
     }
 
-    /// Computes a field on the device from others, which are loaded if they are not resident. The callers that wait have pinned them. If
-    /// all callers give up, `token` is cancelled after a while. Returns false if the host has to mask the field.
+    /// Computes a field on the device from other fields, which are loaded if they are not resident. The waiting callers have pinned these
+    /// fields. `token` is cancelled with the load. Returns false if the host has to mask the field.
     fn compute<'a>(
         &'a self,
         volume: &'a VolumeStep,
         key: VolumeKey,
         token: CancellationToken,
     ) -> Pin<Box<dyn Future<Output = Result<bool, WorkError>> + Send + 'a>> {
-        // Boxed because the future is recursive.
+        // Boxed because the future is recursive: computing a field may load others.
         Box::pin(async move {
             let request = Compute {
                 volume: volume.clone(),
@@ -179,12 +180,13 @@ impl DeviceWorker {
         })
     }
 
-    /// Frees the samples, pyramids and vertex trees of a time step that nothing will use again. If the device is lost, they are gone anyway.
+    /// Frees the samples, pyramids and vertex trees of a time step that will not be used again. Ignores errors: if the device is lost, this
+    /// data is gone anyway.
     pub async fn release(&self, volume: &VolumeStep) {
         let _ = self.run_for_cache(Release { step: volume.key() }).await;
     }
 
-    /// Fails unless the host has memory to read a field. If a caller waits for the field, first evicts caches to make space.
+    /// Checks that the host has memory to read a field. If a caller waits for the field, first evicts caches to make space.
     async fn admit(&self, volume: &VolumeStep, key: &VolumeKey, purpose: Purpose) -> Result<(), WorkError> {
         let needed = bytes_while_read(volume, key, self.ready().await?.kind)?;
         match purpose {
@@ -193,7 +195,8 @@ impl DeviceWorker {
         }
     }
 
-    /// Uploads the pieces of a field as they arrive. Returns false, and drops the other pieces, if a field that is read ahead has no space.
+    /// Uploads the pieces of a field as they arrive. If the field is read ahead and there is no space for it, drops the pieces and returns
+    /// false.
     async fn upload_pieces(
         &self,
         key: &VolumeKey,

@@ -16,8 +16,8 @@ use super::device_thread::Preparation;
 /// Maximum number of files that are read at the same time. Each load holds a few pieces of a field in host memory.
 const CONCURRENT_LOADS: usize = 2;
 
-/// Number of entries from which on the unused ones are dropped. An entry takes some hundred bytes, and each new expression of a client
-/// adds one.
+/// Number of entries at which unused ones are dropped before another is added. An entry takes some hundred bytes, and each new expression
+/// of a client adds one.
 const MAX_ENTRIES: usize = 4096;
 
 /// How long a load continues after its last waiting caller has given up: the next edit may need the same field.
@@ -43,7 +43,7 @@ impl Loads {
     pub(super) fn get_or_insert(&self, key: &VolumeKey) -> Arc<FieldLoad> {
         let mut fields = lock(&self.fields);
         if fields.len() >= MAX_ENTRIES && !fields.contains_key(key) {
-            // Keeps the loads that are in use.
+            // Keeps the entries of loads that are in use.
             fields.retain(|_, load| Arc::strong_count(load) > 1);
         }
         Arc::clone(fields.entry(key.clone()).or_default())
@@ -57,13 +57,13 @@ pub(super) struct FieldLoad {
     pub lock: Arc<tokio::sync::Mutex<()>>,
     /// Progress of the running load, or of the last one.
     pub progress: Arc<ReadProgress>,
-    /// Cancels what the device computes for the running load. Changed together with the cancellation of `progress`.
+    /// Cancels the computation of the field on the device. Replaced and cancelled together with the cancellation of `progress`.
     token: Mutex<CancellationToken>,
     /// Number of callers that wait for this load.
     waiting: AtomicUsize,
 }
 
-/// Counts a caller that waits for a load, until it is dropped.
+/// Guard of a caller that waits for a load. Dropping the guard removes the caller.
 pub(super) struct WaitGuard(Arc<FieldLoad>);
 
 impl FieldLoad {
@@ -139,18 +139,18 @@ pub(super) struct FieldWork {
     load: Option<LoadWork>,
     /// Histograms that are still to be made.
     histograms: Vec<HistogramKey>,
-    /// Number of histograms that were made since.
+    /// Number of histograms that were made since the opening began.
     finished_histograms: u64,
 }
 
-/// A field that is not resident.
+/// Remaining work to load a field that is not resident.
 struct LoadWork {
-    /// Bytes of its file.
+    /// Bytes of the field in its file.
     stored_bytes: u64,
     /// `None` until the field's load was requested.
     progress: Option<Arc<ReadProgress>>,
-    /// Whether the field is on the device by now.
-    finished: bool,
+    /// Whether the field is resident by now.
+    is_finished: bool,
 }
 
 impl FieldWork {
@@ -171,14 +171,14 @@ impl FieldWork {
             .collect();
         let is_resolved = view.iso.is_some() && view.feature_range.is_some();
         let is_in_view = view.field == field.name || view.feature.fields(&view.field).contains(&field.name.as_str());
-        let is_read = !is_resident && (!histograms.is_empty() || (is_in_view && !is_resolved));
+        let needs_load = !is_resident && (!histograms.is_empty() || (is_in_view && !is_resolved));
         Self {
             key: VolumeKey::new(volume, &field.name, false),
             sample_bytes: volume.dataset().geometry.sample_count() * field.sample_type.bytes() as u64,
-            load: is_read.then(|| LoadWork {
+            load: needs_load.then(|| LoadWork {
                 stored_bytes: field.source.stored_bytes(),
                 progress: None,
-                finished: false,
+                is_finished: false,
             }),
             histograms,
             finished_histograms: 0,
@@ -200,7 +200,7 @@ impl OpeningWatch {
 
     /// Records that a field is resident.
     pub(super) fn field_loaded(&self, key: &VolumeKey) {
-        self.with_load(key, |load| load.finished = true);
+        self.with_load(key, |load| load.is_finished = true);
     }
 
     fn with_load(&self, key: &VolumeKey, change: impl FnOnce(&mut LoadWork)) {
@@ -223,20 +223,20 @@ impl OpeningWatch {
 
     /// Returns the current progress over all fields.
     pub fn progress(&self) -> OpeningProgress {
-        let mut all = OpeningProgress::default();
+        let mut total = OpeningProgress::default();
         for field in lock(&self.fields).iter() {
-            // Each histogram is a pass over the samples. A load reads the file and uploads the samples.
-            all.bytes += field.finished_histograms * field.sample_bytes;
-            all.total_bytes += (field.finished_histograms + field.histograms.len() as u64) * field.sample_bytes;
+            // Each histogram counts as a pass over the samples. A load counts the bytes of the file and those of the uploaded samples.
+            total.bytes += field.finished_histograms * field.sample_bytes;
+            total.total_bytes += (field.finished_histograms + field.histograms.len() as u64) * field.sample_bytes;
             let Some(load) = &field.load else { continue };
-            all.total_bytes += load.stored_bytes + field.sample_bytes;
-            all.bytes += match &load.progress {
-                _ if load.finished => load.stored_bytes + field.sample_bytes,
+            total.total_bytes += load.stored_bytes + field.sample_bytes;
+            total.bytes += match &load.progress {
+                _ if load.is_finished => load.stored_bytes + field.sample_bytes,
                 // A decoder may read a few bytes twice.
                 Some(progress) => progress.bytes().min(load.stored_bytes),
                 None => 0,
             };
         }
-        all
+        total
     }
 }

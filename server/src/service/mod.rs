@@ -1,11 +1,22 @@
 //! The workspace of a device as a service: many callers share it, and wait for each other in a queue.
 //!
-//! - `worker`: the bounded queue to the thread that owns the device; `device_thread` opens the device, and reopens it after it was lost;
-//!   `job` is a request in the queue, `attempts` repeats a request until it has a result; `scheduler` runs other jobs when a long job pauses. `observed`: state for monitoring.
-//! - `loader` reads fields and sends them to the device; `loading` is their progress; `pins`: callers that wait until volumes can be pinned.
-//!   `ahead` reads time steps before a viewer reaches them.
-//! - `surfaces`: counts, steps, final surfaces and errors, within budgets and limits. `slices`: samples. `histograms` and `overviews` are made a
-//!   slice at a time between other jobs; `unfinished` and `overview_cache` share them between callers.
+//! The queue:
+//! - `worker`: the bounded queue to the thread that owns the device.
+//! - `device_thread`: opens the device, and reopens it after it was lost.
+//! - `job`: a request in the queue. `attempts`: retries a request until it has a result.
+//! - `scheduler`: the order of jobs. It runs other jobs when a long job pauses.
+//! - `observed`: state for monitoring.
+//!
+//! Fields:
+//! - `loader`: reads fields and sends them to the device. `loading`: progress of the loads.
+//! - `pins`: callers that wait until volumes can be pinned.
+//! - `ahead`: reads time steps before a viewer reaches them.
+//!
+//! Results:
+//! - `surfaces`: counts, steps, final surfaces and errors, within budgets and limits.
+//! - `slices`: samples.
+//! - `histograms` and `overviews`: made a slice at a time between other jobs. `unfinished` and `overview_cache`: their work, shared by
+//!   callers.
 //! - `volume_info`: the description of a volume.
 
 mod ahead;

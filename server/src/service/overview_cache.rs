@@ -1,5 +1,5 @@
-//! Cache of overviews, and the overviews that are being made. All callers that ask for one overview share the work on it; the work ends when
-//! the last of them leaves.
+//! Cache of overviews, and the overviews that are being made. All callers of the same overview share the work on it. The work ends when the
+//! last of these callers leaves.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, Weak};
@@ -7,13 +7,14 @@ use std::sync::{Arc, Mutex, Weak};
 use isopeel_extraction::{Lru, VolumeKey, lock};
 use isopeel_kernels::{Overview, OverviewMode, OverviewWork};
 
-/// Maximum number of values along each axis: at most 2 MiB in all, which a page draws in a browser without a GPU.
+/// Maximum number of values along each axis. A value takes a byte, so an overview takes at most 2 MiB, which a browser can draw without a
+/// GPU.
 const OVERVIEW_SIDE: u32 = 128;
 
 /// Maximum bytes of cached overviews: some time steps of a field, in both modes.
-const KEPT_BYTES: u64 = 32 << 20;
+const MAX_CACHED_BYTES: u64 = 32 << 20;
 
-/// Key of an overview.
+/// Key of an overview: its volume and its mode.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub(super) struct OverviewKey {
     pub volume: VolumeKey,
@@ -39,7 +40,7 @@ pub(super) struct UnfinishedOverview {
 impl Default for Overviews {
     fn default() -> Self {
         Self {
-            cached: Mutex::new(Lru::new(KEPT_BYTES)),
+            cached: Mutex::new(Lru::new(MAX_CACHED_BYTES)),
             unfinished: Mutex::default(),
         }
     }
@@ -64,9 +65,9 @@ impl Overviews {
         samples: [u32; 3],
         admit: impl FnOnce() -> Result<P, E>,
     ) -> Result<Arc<UnfinishedOverview>, E> {
-        let mut all = lock(&self.unfinished);
-        all.retain(|_, unfinished| unfinished.strong_count() > 0);
-        if let Some(unfinished) = all.get(key).and_then(Weak::upgrade) {
+        let mut by_key = lock(&self.unfinished);
+        by_key.retain(|_, unfinished| unfinished.strong_count() > 0);
+        if let Some(unfinished) = by_key.get(key).and_then(Weak::upgrade) {
             return Ok(unfinished);
         }
         let unfinished = Arc::new(UnfinishedOverview {
@@ -74,7 +75,7 @@ impl Overviews {
             work: Mutex::new(OverviewWork::new(samples, key.mode, OVERVIEW_SIDE)),
             running: tokio::sync::Mutex::default(),
         });
-        all.insert(key.clone(), Arc::downgrade(&unfinished));
+        by_key.insert(key.clone(), Arc::downgrade(&unfinished));
         Ok(unfinished)
     }
 }

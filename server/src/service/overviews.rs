@@ -39,7 +39,7 @@ impl DeviceWorker {
         }
         let unfinished = overviews.unfinished(&key, volume.dataset().geometry.dims, admit)?;
         let _running = unfinished.running.lock().await;
-        // Another caller may have finished it meanwhile.
+        // Another caller may have finished the overview meanwhile.
         if let Some(overview) = overviews.cached(&key) {
             return Ok(overview);
         }
@@ -75,7 +75,8 @@ impl DeviceWorker {
                 part,
             };
             let values = self.perform_slice(Caller::Request, slice, &mut retries).await?;
-            // Here, not on the pool: if this caller left before the pool had added them, the next one would request the same part.
+            // Added here, not on the pool: if this caller left before the pool had added the values, the next caller would request the same
+            // part again.
             lock(&unfinished.work).add(values);
         }
     }

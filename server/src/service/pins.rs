@@ -5,7 +5,7 @@ use std::sync::Arc;
 use isopeel_extraction::{Pinned, Pins, VolumeKey};
 use tokio::sync::Notify;
 
-/// The pinned volumes, and a way to wait for space beside them.
+/// The pinned volumes, and a notification when pins are released.
 pub(super) struct WaitingPins {
     pub pins: Pins,
     released: Arc<Notify>,
@@ -23,12 +23,12 @@ impl Default for WaitingPins {
 }
 
 impl WaitingPins {
-    /// Pins volumes as [`Pins::try_pin`], once that succeeds. It pins all or none, so callers cannot deadlock.
+    /// Waits until [`Pins::try_pin`] succeeds. All volumes are pinned at once or none, so callers cannot deadlock.
     pub(super) async fn pin(&self, volumes: &[(VolumeKey, u64)], budget: u64) -> Pinned {
         loop {
             let released = self.released.notified();
             tokio::pin!(released);
-            // Enabled before pins are checked, so that no release in between is missed.
+            // Enabled before `try_pin` is called, so that no release after a failed call is missed.
             released.as_mut().enable();
             if let Some(pin) = self.pins.try_pin(volumes, budget) {
                 return pin;

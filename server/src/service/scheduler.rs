@@ -1,5 +1,5 @@
-//! Cooperative scheduler of the device's thread. Jobs run in the order in which they were queued; a long job pauses for waiting jobs, about
-//! every 50 ms.
+//! Cooperative scheduler of the device's thread. Jobs run in the order in which they were queued. About every 50 ms a long job pauses and
+//! runs the waiting jobs of higher priority.
 
 use std::sync::Arc;
 
@@ -18,8 +18,8 @@ pub(super) enum Caller {
     Viewer,
     /// A request. Its job is refused if the queue is full, and stops before its next stage when the request is gone.
     Request,
-    /// The result is cached for other callers: the job waits if the queue is full, and is not cancelled with its caller. A load is cancelled
-    /// some time after its last caller is gone.
+    /// A cache, which stores the result for other callers. The job waits if the queue is full, and is not cancelled with its caller. A load
+    /// is cancelled some time after its last caller is gone.
     Cache,
 }
 
@@ -36,7 +36,7 @@ impl Caller {
 /// How a job shares the device, from the highest priority to the lowest. When a long job pauses, the waiting jobs of higher priority run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Length {
-    /// Ends soon: other jobs wait for its end.
+    /// Ends soon, so other jobs wait for its end.
     Short,
     /// Takes long, and a viewer waits for it.
     Long,
@@ -105,15 +105,15 @@ impl Permits {
 
 /// A job in the queue.
 pub(super) trait Job: Sized {
-    /// What jobs run on.
+    /// The state that jobs change.
     type State;
 
-    /// Its name in the log.
+    /// Returns the name of the job in the log.
     fn name(&self) -> &'static str;
 
     fn length(&self) -> Length;
 
-    /// Whether it ends as soon as it runs.
+    /// Whether the job was cancelled, so that it ends as soon as it runs.
     fn is_cancelled(&self) -> bool;
 
     fn run(self, state: &mut Self::State, queue: &mut Queue<Self>);
@@ -133,16 +133,16 @@ pub(super) struct Queue<J: Job> {
     /// Jobs that were received in a pause of a job but have no higher priority than that job: an export, or a job of a viewer at rest.
     /// There are few, because [`Permits`] admits one such job of each length.
     deferred: Vec<J>,
-    /// Called after each job.
-    after: AfterJob<J::State>,
+    /// Called after each job, also after one that runs in a pause.
+    after_job: AfterJob<J::State>,
 }
 
 impl<J: Job> Queue<J> {
-    pub(super) fn new(waiting: mpsc::Receiver<J>, after: impl Fn(&J::State) + 'static) -> Self {
+    pub(super) fn new(waiting: mpsc::Receiver<J>, after_job: impl Fn(&J::State) + 'static) -> Self {
         Self {
             waiting,
             deferred: Vec::new(),
-            after: Box::new(after),
+            after_job: Box::new(after_job),
         }
     }
 
@@ -154,7 +154,7 @@ impl<J: Job> Queue<J> {
         }
     }
 
-    /// Drops the waiting jobs. Their callers then take the reason from the device's state. Returns false if all senders are dropped.
+    /// Drops the waiting jobs. Their callers then read the reason from the device's state. Returns false if all senders are dropped.
     pub(super) fn drop_waiting(&mut self) -> bool {
         self.deferred.clear();
         while self.waiting.try_recv().is_ok() {}
@@ -165,8 +165,8 @@ impl<J: Job> Queue<J> {
     fn take_deferred(&mut self, pausing: Option<Length>) -> Option<J> {
         let jobs = self.deferred.iter().enumerate();
         let ready = jobs.filter(|(_, job)| pausing.is_none_or(|length| job.may_run(length)));
-        let (at, _) = ready.min_by_key(|(_, job)| job.length())?;
-        Some(self.deferred.swap_remove(at))
+        let (index, _) = ready.min_by_key(|(_, job)| job.length())?;
+        Some(self.deferred.swap_remove(index))
     }
 
     /// Whether a job of this length has to pause: new jobs are queued, or a deferred one may run.
@@ -174,7 +174,8 @@ impl<J: Job> Queue<J> {
         !self.waiting.is_empty() || self.deferred.iter().any(|job| job.may_run(length))
     }
 
-    /// Runs the queued jobs that come before one of this length, and defers the others: viewers have one job each, so each gets a turn.
+    /// Runs the waiting jobs that may run while a job of this length pauses, and defers the others. Receives only jobs that are queued now,
+    /// so that the pause ends. Viewers have one job each, so each viewer gets a turn.
     fn run_waiting(&mut self, state: &mut J::State, length: Length) {
         for _ in 0..self.waiting.len() {
             match self.waiting.try_recv() {
@@ -195,11 +196,11 @@ impl<J: Job> Queue<J> {
         if std::panic::catch_unwind(run).is_err() {
             tracing::error!(job = name, "a job panicked on the device thread");
         }
-        (self.after)(state);
+        (self.after_job)(state);
     }
 }
 
-/// The queue during a pause of a job of this length: it runs the jobs of higher priority.
+/// The queue while a job of length `length` pauses. Runs the jobs of higher priority.
 pub(super) struct PausedQueue<'a, J: Job> {
     pub queue: &'a mut Queue<J>,
     pub length: Length,
@@ -215,7 +216,7 @@ impl<J: Job> WaitingWork<J::State> for PausedQueue<'_, J> {
     }
 }
 
-/// A token as the kernels' cancellation.
+/// Adapts a token to the kernels' interface of cancellation.
 pub(super) struct Token<'a>(pub &'a CancellationToken);
 
 impl Cancel for Token<'_> {

@@ -1,5 +1,5 @@
-//! Requests about the surface of a view: resolves the view, counts, makes and measures its surface, and answers questions about it. A surface
-//! keeps its budget of bytes, the limit of the handle, and the memory of the host.
+//! Requests about the surface of a view: resolves the view, counts, makes and measures its surface, and answers questions about it. A
+//! surface stays within its budget of bytes, the triangle limit of the handle, and the memory of the host.
 
 use std::time::{Duration, Instant};
 
@@ -63,8 +63,8 @@ impl DeviceWorker {
         self.perform(Caller::Viewer, Count { volume, view }, token).await
     }
 
-    /// Makes the next step from the surface that a client shows to the surface of a view. A budget of bytes that is not fitted yet is fitted
-    /// first, which makes whole surfaces; the fit is in the view of the result.
+    /// Makes the next step from the surface that a client shows to the surface of a view. A budget of bytes that is not fitted yet is
+    /// fitted first, which makes whole surfaces; the fit is in the view of the result.
     ///
     /// # Errors
     /// [`WorkError::TooManyTriangles`] if the final surface has more triangles than the handle allows, [`WorkError::HostBusy`] if the host
@@ -89,8 +89,8 @@ impl DeviceWorker {
         .await
     }
 
-    /// Makes the final surface of a view again, as a cut of the vertex tree. For a viewer at rest, because building the tree takes longer.
-    /// `view`: that of the final step, whose budget is fitted. `None` if there is no better surface.
+    /// Makes the final surface of a view again, as a cut of the vertex tree. This is for a viewer at rest, because building the tree takes
+    /// longer. `view`: the view of the final step, whose budget is fitted. `None` if there is no better surface.
     ///
     /// # Errors
     /// As [`DeviceWorker::refine`], without those of a budget of bytes.
@@ -180,11 +180,13 @@ impl DeviceWorker {
             refining: work.refining,
             ..Making::default()
         };
-        let mut extraction = self.make(Caller::Request, volume, &fitted_view, making, token).await?;
+        let mut extraction = self
+            .extract_within_memory(Caller::Request, volume, &fitted_view, making, token)
+            .await?;
         extraction.wall += fit_time;
         if let Measuring::Within(limit) = work.measuring {
             // The time-out drops the future, which cancels the job.
-            let error = self.error_of(&extraction, volume, making, token);
+            let error = self.measure_extraction(&extraction, volume, making, token);
             if let Ok(error) = tokio::time::timeout(limit, error).await {
                 extraction.measured = error?;
             }
@@ -192,8 +194,8 @@ impl DeviceWorker {
         Ok(extraction)
     }
 
-    /// Measures the error of a surface that was made in this way; `None` as for [`DeviceWorker::measure`].
-    async fn error_of(
+    /// Measures the error of a surface that was made as `making` says; `None` as for [`DeviceWorker::measure`].
+    async fn measure_extraction(
         &self,
         extraction: &Extraction,
         volume: &VolumeStep,
@@ -203,19 +205,21 @@ impl DeviceWorker {
         let view = &extraction.view;
         // A refined cut is not cached, so the surface is made again and measured.
         if extraction.refined.is_some() {
-            let measured = Making {
+            let with_measure = Making {
                 measures: true,
                 ..making
             };
-            let again = self.make(Caller::Request, volume, view, measured, token).await?;
-            return Ok(again.statistics(volume, "").error);
+            let extraction = self
+                .extract_within_memory(Caller::Request, volume, view, with_measure, token)
+                .await?;
+            return Ok(extraction.statistics(volume, "").error);
         }
         let measured = self.measure_for(Caller::Request, volume, view, token).await?;
         Ok(measured.map(|measurement| measurement.whole))
     }
 
-    /// Answers a question about the surface that a viewer is shown; if none is shown, a probe is answered for the volume alone. `token` as
-    /// in [`DeviceWorker::resolve`].
+    /// Answers a question about the surface that a viewer is shown. If no surface is shown, a probe is answered for the volume alone.
+    /// `token` as in [`DeviceWorker::resolve`].
     ///
     /// # Errors
     /// [`WorkError`].
@@ -234,7 +238,7 @@ impl DeviceWorker {
         self.perform(Caller::Viewer, request, token).await
     }
 
-    /// Returns the view with its fit, if it has a budget of bytes: the threshold that keeps the budget.
+    /// Returns the view. If it has a budget of bytes that is not fitted yet, adds the fit: the threshold that keeps the budget.
     async fn with_fitted_bytes(
         &self,
         caller: Caller,
@@ -268,7 +272,10 @@ impl DeviceWorker {
                 measures: false,
                 ..Making::default()
             };
-            let extraction = match self.make(caller, volume, &trial_view, making, token).await {
+            let extraction = match self
+                .extract_within_memory(caller, volume, &trial_view, making, token)
+                .await
+            {
                 Ok(extraction) => extraction,
                 Err(error) => {
                     // A surface that is too large is a result of the search; other errors end it.
@@ -276,7 +283,7 @@ impl DeviceWorker {
                     continue;
                 }
             };
-            // The same fit again: the search has converged.
+            // A fit that was tried before means that the search has converged.
             let Some(fitted) = search.new_fit(&extraction.view) else {
                 break;
             };
@@ -294,7 +301,7 @@ impl DeviceWorker {
     }
 
     /// Makes the final surface of a view, within the limits of [`DeviceWorker::within_memory`].
-    async fn make(
+    async fn extract_within_memory(
         &self,
         caller: Caller,
         volume: &VolumeStep,
@@ -313,17 +320,17 @@ impl DeviceWorker {
         .await
     }
 
-    /// Calls `make` with the maximum triangles of a surface: those that the handle allows and the host has memory for. If that is too few,
-    /// evicts caches and retries once.
+    /// Calls `make` with the maximum triangles of a surface: the minimum of the handle's limit and what fits into the host's memory. If the
+    /// memory is too small, evicts caches and retries once.
     async fn within_memory<T, F>(&self, make: impl Fn(u64) -> F) -> Result<T, WorkError>
     where
         F: Future<Output = Result<T, WorkError>>,
     {
         let try_now = async || {
             let memory = HostMemory::now();
-            let made = make(self.ceiling.min(memory.triangles())).await;
-            // Too many triangles for the memory, not for the handle, are `HostBusy`.
-            made.map_err(|error| memory.explain(error, self.ceiling))
+            let outcome = make(self.ceiling.min(memory.triangles())).await;
+            // If the triangles exceed the host's memory but not the limit of the handle, the error is `HostBusy`.
+            outcome.map_err(|error| memory.explain(error, self.ceiling))
         };
         match try_now().await {
             Err(WorkError::HostBusy { needed_bytes }) => {

@@ -6,27 +6,27 @@ use std::sync::{Arc, Mutex};
 use isopeel_extraction::{HistogramKey, lock};
 use isopeel_kernels::HistogramWork;
 
-/// Maximum number of partial histograms, 4 KiB each, including those without a caller.
+/// Maximum number of partial histograms, including those without a caller. Each takes 4 KiB.
 const MAX_UNFINISHED: usize = 256;
 
 /// Histograms that are being made.
 #[derive(Default)]
 pub(super) struct UnfinishedHistograms {
-    works: Mutex<HashMap<HistogramKey, Arc<tokio::sync::Mutex<HistogramWork>>>>,
+    by_key: Mutex<HashMap<HistogramKey, Arc<tokio::sync::Mutex<HistogramWork>>>>,
 }
 
 impl UnfinishedHistograms {
-    /// Returns the work on a histogram. The caller that continues the work holds its lock.
+    /// Returns the work on a histogram, or begins it. The caller that continues the work must hold its lock.
     pub(super) fn get_or_begin(&self, key: &HistogramKey) -> Arc<tokio::sync::Mutex<HistogramWork>> {
-        let mut works = lock(&self.works);
-        if works.len() >= MAX_UNFINISHED && !works.contains_key(key) {
-            works.retain(|_, work| Arc::strong_count(work) > 1);
+        let mut by_key = lock(&self.by_key);
+        if by_key.len() >= MAX_UNFINISHED && !by_key.contains_key(key) {
+            by_key.retain(|_, work| Arc::strong_count(work) > 1);
         }
-        Arc::clone(works.entry(key.clone()).or_default())
+        Arc::clone(by_key.entry(key.clone()).or_default())
     }
 
     pub(super) fn remove(&self, key: &HistogramKey) {
-        lock(&self.works).remove(key);
+        lock(&self.by_key).remove(key);
     }
 }
 
@@ -47,7 +47,7 @@ mod tests {
         for n in 1..3 * MAX_UNFINISHED {
             unfinished.get_or_begin(&key(n));
         }
-        assert!(lock(&unfinished.works).len() <= MAX_UNFINISHED);
+        assert!(lock(&unfinished.by_key).len() <= MAX_UNFINISHED);
         assert!(Arc::ptr_eq(&held, &unfinished.get_or_begin(&key(0))));
         unfinished.remove(&key(0));
         assert!(!Arc::ptr_eq(&held, &unfinished.get_or_begin(&key(0))));

@@ -259,8 +259,8 @@ impl GeometryInfo {
         let geometry = dataset.geometry;
         let positions = |uneven: &Arc<UnevenAxes>| {
             let along = |axis: usize| {
-                let even = uneven.of_axis(axis)?.iter();
-                Some(even.map(|even| even * geometry.spacing[axis]).collect())
+                let in_spacings = uneven.of_axis(axis)?.iter();
+                Some(in_spacings.map(|position| position * geometry.spacing[axis]).collect())
             };
             [along(0), along(1), along(2)]
         };
@@ -305,7 +305,7 @@ impl DerivedInfo {
     }
 }
 
-/// The unit of a field's derived feature.
+/// Returns the unit of a field's derived feature. `unit`: that of the field; `length`: that of lengths.
 fn derived_unit(feature: DerivedFeature, unit: Option<&str>, length: &str) -> Option<String> {
     match feature {
         DerivedFeature::GradientMagnitude => unit.map(|unit| format!("{unit} per {length}")),
@@ -315,7 +315,7 @@ fn derived_unit(feature: DerivedFeature, unit: Option<&str>, length: &str) -> Op
     }
 }
 
-/// The unit of a vector's feature, whose components have `unit`.
+/// Returns the unit of a feature of a vector whose components have `unit`. `length`: the unit of lengths.
 fn vector_unit(feature: VectorFeature, unit: &str, length: &str) -> String {
     match feature {
         VectorFeature::Magnitude => unit.to_owned(),
@@ -325,11 +325,12 @@ fn vector_unit(feature: VectorFeature, unit: &str, length: &str) -> String {
     }
 }
 
-fn length_of(volume: &VolumeStep) -> &'static str {
+/// Returns the unit of lengths in a volume.
+fn length_unit(volume: &VolumeStep) -> &'static str {
     volume.dataset().geometry.unit.map_or("world unit", LengthUnit::symbol)
 }
 
-/// A feature that is derived from a field.
+/// Describes a feature that is derived from a field.
 async fn derived_info(
     worker: &DeviceWorker,
     volume: &VolumeStep,
@@ -342,11 +343,11 @@ async fn derived_info(
     } else {
         worker.peek_histogram(volume, &field.name, &name)
     };
-    let unit = derived_unit(feature, field.unit.as_deref(), length_of(volume));
+    let unit = derived_unit(feature, field.unit.as_deref(), length_unit(volume));
     Ok(DerivedInfo::new(unit, histogram))
 }
 
-/// The vector fields of a volume.
+/// Describes the vector fields of a volume.
 fn vector_infos(worker: &DeviceWorker, volume: &VolumeStep) -> Vec<VectorInfo> {
     let dataset = volume.dataset();
     let info_of = |components: [&str; 3]| {
@@ -359,7 +360,7 @@ fn vector_infos(worker: &DeviceWorker, volume: &VolumeStep) -> Vec<VectorInfo> {
         });
         let features = names.map(|(feature, name)| {
             let histogram = worker.peek_histogram(volume, &components[0], &name);
-            let unit = unit.map(|unit| vector_unit(feature, unit, length_of(volume)));
+            let unit = unit.map(|unit| vector_unit(feature, unit, length_unit(volume)));
             (name.as_str().to_owned(), DerivedInfo::new(unit, histogram))
         });
         VectorInfo {
@@ -370,10 +371,11 @@ fn vector_infos(worker: &DeviceWorker, volume: &VolumeStep) -> Vec<VectorInfo> {
     vectors(&dataset.field_names()).into_iter().map(info_of).collect()
 }
 
-/// Describes the field that an expression over a volume's fields gives, like one of the volume's own but without derived features.
+/// Describes the field that an expression over a volume's fields gives. The description is that of a field of the volume, but without
+/// derived features.
 ///
 /// # Errors
-/// What is wrong with the expression, and [`WorkError`].
+/// [`WorkError::Edit`] if the expression is invalid, or another [`WorkError`].
 pub async fn describe_expression(
     worker: &DeviceWorker,
     volume: &VolumeStep,
@@ -402,7 +404,7 @@ pub async fn describe_expression(
     })
 }
 
-/// Describes one time step of a volume; the worker makes the histograms unless they are cached.
+/// Describes one time step of a volume. The worker makes the histograms that are not cached.
 ///
 /// # Errors
 /// [`WorkError`].

@@ -35,19 +35,21 @@ use crate::device::Proven;
 /// viewers wait.
 pub const QUEUED_JOBS: usize = 64;
 
-/// Maximum number of viewers' short jobs in the queue: the other half is left for REST.
+/// Maximum number of viewers' short jobs in the queue. The other half is left for REST.
 const VIEWER_JOBS: usize = QUEUED_JOBS / 2;
 
-/// How long a successful probe of the device counts.
+/// How long the result of a successful probe of the device is reused.
 const PROBE_LIFETIME: Duration = Duration::from_secs(1);
 
 /// Interval at which [`DeviceWorker::end_within`] polls whether the thread has ended.
 const END_POLL_INTERVAL: Duration = Duration::from_millis(5);
 
-/// Stack of the device's thread. Drivers for CPUs run kernels on it, some of which have 3 MB of private variables with Intel's runtime.
+/// Stack of the device's thread. Drivers for CPUs run kernels on this stack. With Intel's runtime, some kernels have 3 MB of private
+/// variables.
 const STACK_BYTES: usize = 16 << 20;
 
-/// Handle to the thread that owns the device. Clones are cheap; the last one ends the thread and waits for it.
+/// Handle to the thread that owns the device. Clones are cheap. Dropping the last one ends the thread, and waits for its
+/// end.
 #[derive(Clone)]
 pub struct DeviceWorker {
     pub(super) shared: Arc<Shared>,
@@ -74,12 +76,13 @@ pub(super) struct Shared {
     /// Time of the last successful probe. Locked during a probe, so that other callers wait for its result.
     last_probe: tokio::sync::Mutex<Option<Instant>>,
     pub loads: Loads,
-    /// Shared with the thread, which does not evict their fields for others that are read ahead.
+    /// Time steps that viewers have open. Shared with the thread, which does not evict the fields of these steps for read-ahead.
     pub open_steps: OpenSteps,
-    /// Permits to read a time step ahead. One, because each occupies a disk, and a processor if it is compressed.
+    /// Permit to read a time step ahead. There is only one, because each read-ahead occupies a disk, and a processor too if the samples are
+    /// compressed.
     pub ahead_permits: Semaphore,
     permits: Permits,
-    /// Shared with the thread, which evicts volumes that are not pinned.
+    /// Pinned volumes. Shared with the thread, which evicts other volumes first.
     pub pins: WaitingPins,
     /// Programs that have passed the check so far. Set by the thread if the check is still running when the device is opened.
     proven: Arc<OnceLock<Arc<Proven>>>,
@@ -214,17 +217,20 @@ impl DeviceWorker {
         EngineId::of_number(self.shared.engine.load(Ordering::Relaxed))
     }
 
-    /// Runs a probe job and returns whether the device answers within the limit. If it does not, the driver is stuck or the queue takes
-    /// longer. The result of a successful probe is reused for a second.
+    /// Runs a probe job, and returns whether the device answers within the limit. If the device does not, the driver is stuck or the queued
+    /// jobs take longer. The result of a successful probe is reused for a second.
     pub async fn answers_within(&self, limit: Duration) -> bool {
         let probe = async {
             let mut last = self.shared.last_probe.lock().await;
             if last.is_some_and(|last| last.elapsed() < PROBE_LIFETIME) {
                 return true;
             }
-            let never = CancellationToken::new();
+            let never_cancelled = CancellationToken::new();
             // A probe that fails counts as an answer: such errors are visible in the device's state.
-            let answers = self.run(Caller::Viewer, CheckAnswers, &never).await.unwrap_or(true);
+            let answers = self
+                .run(Caller::Viewer, CheckAnswers, &never_cancelled)
+                .await
+                .unwrap_or(true);
             *last = answers.then(Instant::now);
             answers
         };
@@ -248,8 +254,8 @@ impl DeviceWorker {
     /// ended.
     pub async fn ready(&self) -> Result<DeviceInfo, WorkError> {
         let mut state = self.states();
-        let settled = state.wait_for(|s| !matches!(s, DeviceState::Opening(_))).await;
-        match settled.map(|s| s.clone()) {
+        let settled = state.wait_for(|state| !matches!(state, DeviceState::Opening(_))).await;
+        match settled.map(|state| state.clone()) {
             Ok(DeviceState::Ready(info)) => Ok(info),
             Ok(DeviceState::Failed(error)) => Err(WorkError::NoDevice(error)),
             Ok(DeviceState::Lost | DeviceState::NeedsNewProcess) => Err(WorkError::Reopening),
@@ -278,16 +284,16 @@ impl DeviceWorker {
             .dataset()
             .fields
             .iter()
-            .map(|f| VolumeKey::new(volume, &f.name, false))
+            .map(|field| VolumeKey::new(volume, &field.name, false))
             .collect();
-        let never = CancellationToken::new();
-        let resident = self.run(Caller::Viewer, FindResident { keys }, &never);
+        let never_cancelled = CancellationToken::new();
+        let resident = self.run(Caller::Viewer, FindResident { keys }, &never_cancelled);
         let fields = volume.dataset().fields.iter().zip(resident.await?);
         let histograms = &self.shared.histograms;
-        let work = fields
+        let field_work = fields
             .map(|(field, is_resident)| FieldWork::new(volume, view, field, is_resident, histograms))
             .collect();
-        let watch = Arc::new(OpeningWatch::new(work));
+        let watch = Arc::new(OpeningWatch::new(field_work));
         let worker = Self {
             watch: Some(Arc::clone(&watch)),
             ..self.clone()
@@ -295,9 +301,9 @@ impl DeviceWorker {
         Ok((worker, watch))
     }
 
-    /// Queues a request and waits for its reply. A cancelled job stays in the queue until the thread takes it, and its caller waits for that
-    /// too, so a caller never has two jobs in the queue. The exception is a job of [`Length::Rest`]: its caller returns as soon as the job is
-    /// cancelled, because an export may run to its end while the job pauses. At most one such job exists.
+    /// Queues a request and waits for its reply. A cancelled job stays in the queue until the thread takes it, and its caller waits for
+    /// that too, so a caller never has two jobs in the queue. The exception is a job of [`Length::Rest`]: its caller returns as soon as the
+    /// job is cancelled, because an export may run to its end while the job pauses. There is at most one such job.
     pub(super) async fn run<R: Request>(
         &self,
         caller: Caller,
@@ -310,7 +316,7 @@ impl DeviceWorker {
         Ok(reply_of::<R>(reply)?)
     }
 
-    /// As [`DeviceWorker::run`], as a job of this length.
+    /// As [`DeviceWorker::run`], but queues the job with this length.
     pub(super) async fn run_as(
         &self,
         length: Length,
@@ -346,12 +352,12 @@ impl DeviceWorker {
         }
     }
 
-    /// Runs a request that needs no resident field. It is not retried, and finished even if its caller is gone.
+    /// Runs a request that needs no resident field. The request is not retried, and runs to its end even if its caller is gone.
     pub(super) async fn run_for_cache<R: Request>(&self, request: R) -> Result<R::Reply, WorkError> {
         Ok(self.run(Caller::Cache, request, &CancellationToken::new()).await?)
     }
 
-    /// Puts a job into the queue. If the queue is full, refuses a job of a request, and waits with others.
+    /// Puts a job into the queue. If the queue is full, refuses a job of a request. Jobs of other callers wait for space.
     async fn send(&self, caller: Caller, job: DeviceJob) -> Result<(), WorkError> {
         let jobs = self.shared.jobs.as_ref().ok_or(WorkError::Stopped)?;
         match caller {
@@ -365,13 +371,13 @@ impl DeviceWorker {
 
     /// Runs a slice of work on a whole volume. Callers take turns: only one slice is queued at a time.
     pub(super) async fn run_slice<R: Request + Clone>(&self, caller: Caller, request: R) -> Result<R::Reply, JobError> {
-        let never = CancellationToken::new();
+        let never_cancelled = CancellationToken::new();
         loop {
             let permit = self.shared.slice_permit.acquire().await;
-            let outcome = self.run(caller, request.clone(), &never).await;
+            let outcome = self.run(caller, request.clone(), &never_cancelled).await;
             drop(permit);
             match outcome {
-                Err(error) => self.wait_until_proven(error, &never).await?,
+                Err(error) => self.wait_until_proven(error, &never_cancelled).await?,
                 outcome => return outcome,
             }
         }

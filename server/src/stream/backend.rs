@@ -17,10 +17,10 @@ use crate::access::Identity;
 use crate::error::chain;
 use crate::service::{DeviceState, DeviceWorker, OpeningProgress, OpeningWatch, describe};
 
-/// Default bytes of chunks that are cached for viewers of equal views: some dozen surfaces of a million triangles.
+/// Default capacity, in bytes, of the cache of chunks for viewers of equal views: some dozen surfaces of a million triangles.
 pub const SHARED_BYTES: u64 = 256 << 20;
 
-/// Interval at which the progress of opening a volume is polled, and thus the minimum between two reports.
+/// Interval at which the progress of opening a volume is polled. It is also the minimum interval between two reports.
 const PROGRESS_INTERVAL: Duration = Duration::from_millis(100);
 
 /// Catalog and device of a session.
@@ -39,7 +39,7 @@ pub trait Backend: Clone + Send + Sync + 'static {
         Lease::default()
     }
 
-    /// Describes a volume, and resolves the values of its opening view that depend on the data. Publishes its progress on `progress`.
+    /// Describes a volume, and resolves the values of its opening view that depend on the data. Publishes the progress on `progress`.
     fn open(
         &self,
         volume: &VolumeStep,
@@ -48,14 +48,14 @@ pub trait Backend: Clone + Send + Sync + 'static {
         progress: &watch::Sender<OpeningProgress>,
     ) -> impl Future<Output = Result<Opening, WorkError>> + Send;
 
-    /// Describes a volume: the same JSON as that of `GET /api/v1/volumes/{id}`.
+    /// Returns the description of a volume: the same JSON as `GET /api/v1/volumes/{id}` returns.
     fn describe(
         &self,
         volume: &VolumeStep,
         token: &CancellationToken,
     ) -> impl Future<Output = Result<Box<RawValue>, WorkError>> + Send;
 
-    /// Reads ahead the samples of a time step that these views use, if there is memory for them.
+    /// Reads ahead the samples of a time step that these views use, if there is memory for the samples.
     fn read_ahead(
         &self,
         volume: &VolumeStep,
@@ -63,7 +63,7 @@ pub trait Backend: Clone + Send + Sync + 'static {
         token: &CancellationToken,
     ) -> impl Future<Output = ()> + Send;
 
-    /// Marks a time step as open until the returned guard is dropped: read-ahead of others does not evict its samples.
+    /// Marks a time step as open until the returned guard is dropped. Read-ahead of other steps does not evict the samples of an open step.
     fn mark_open(&self, _volume: &VolumeStep) -> OpenStepGuard {
         OpenStepGuard::default()
     }
@@ -103,7 +103,7 @@ pub trait Backend: Clone + Send + Sync + 'static {
         token: &CancellationToken,
     ) -> impl Future<Output = Result<Refinement, WorkError>> + Send;
 
-    /// Makes a better surface of the same view, for a viewer that rests. `None` if there is none.
+    /// Makes a better surface of the same view, for a viewer that rests. `None` if there is no better surface.
     fn improve(
         &self,
         volume: &VolumeStep,
@@ -130,10 +130,10 @@ pub trait Backend: Clone + Send + Sync + 'static {
     ) -> impl Future<Output = Result<Answer, WorkError>> + Send;
 }
 
-/// What a session learns when a volume was opened.
+/// Result of opening a volume.
 #[derive(Clone, Debug)]
 pub struct Opening {
-    /// Description of the volume, the same JSON as that of `GET /api/v1/volumes/{id}`.
+    /// Description of the volume: the same JSON as `GET /api/v1/volumes/{id}` returns.
     pub volume: Box<RawValue>,
     /// The opening view, with every value resolved.
     pub view: View,
@@ -154,7 +154,7 @@ pub struct LiveBackend {
 /// Options of the [`LiveBackend`].
 #[derive(Clone, Copy, Debug)]
 pub struct LiveOptions {
-    /// Maximum bytes on the device of time steps that are read ahead; 0 turns read-ahead off.
+    /// Maximum bytes that time steps that are read ahead may take on the device; 0 turns read-ahead off.
     pub ahead_bytes: u64,
     /// Maximum bytes of chunks that are cached for viewers of equal views; 0 disables the cache.
     pub shared_bytes: u64,
@@ -163,7 +163,7 @@ pub struct LiveOptions {
 }
 
 impl Default for LiveOptions {
-    /// Read-ahead is off.
+    /// Returns options without read-ahead.
     fn default() -> Self {
         Self {
             ahead_bytes: 0,
@@ -214,7 +214,7 @@ impl Backend for LiveBackend {
             };
             let (worker, watch) = self.worker.with_watch(volume, view).await?;
             let (view, volume) = tokio::select! {
-                read = describe_and_resolve(&worker, volume, view, token) => read?,
+                resolved = describe_and_resolve(&worker, volume, view, token) => resolved?,
                 never = report_progress(&watch, progress) => never,
             };
             Ok(Opening {
@@ -311,8 +311,7 @@ async fn describe_and_resolve(
     view: &View,
     token: &CancellationToken,
 ) -> Result<(View, Box<RawValue>), WorkError> {
-    // The description comes first: it takes many jobs, so viewers see progress, and resolving the view then finds the histograms in the
-    // cache.
+    // The description comes first. It takes many jobs, so viewers see progress; then resolving the view finds the histograms in the cache.
     let description = describe_json(worker, volume).await?;
     let view = worker.resolve(volume, view, token).await?;
     Ok((view, description))
@@ -322,7 +321,7 @@ async fn describe_and_resolve(
 async fn describe_json(worker: &DeviceWorker, volume: &VolumeStep) -> Result<Box<RawValue>, WorkError> {
     let description = describe(worker, volume).await?;
     serde_json::value::to_raw_value(&description).map_err(|error| {
-        tracing::error!(%error, "a volume's description is no JSON");
+        tracing::error!(%error, "a volume's description could not be serialised");
         WorkError::Stopped
     })
 }
@@ -350,11 +349,11 @@ async fn report_device(mut states: watch::Receiver<DeviceState>, progress: &watc
 async fn report_progress(watch: &OpeningWatch, progress: &watch::Sender<OpeningProgress>) -> ! {
     loop {
         tokio::time::sleep(PROGRESS_INTERVAL).await;
-        let now = watch.progress();
+        let current = watch.progress();
         progress.send_if_modified(|reported| {
-            let has_advanced = now.bytes > reported.bytes;
+            let has_advanced = current.bytes > reported.bytes;
             if has_advanced {
-                *reported = now;
+                *reported = current;
             }
             has_advanced
         });

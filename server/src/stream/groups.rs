@@ -29,7 +29,7 @@ use crate::metrics;
 use crate::wire::group::{Follower, LedSurface, Pose};
 use crate::wire::messages::ServerMessage;
 
-/// Maximum number of groups: one for every 16 of the maximum number of viewers.
+/// Maximum number of groups: one for every 16 viewers that the server admits.
 pub(super) const MAX_GROUPS: usize = 64;
 /// Maximum number of groups that one user may lead at a time.
 pub(super) const MAX_GROUPS_OF_USER: usize = MAX_GROUPS / 4;
@@ -40,19 +40,20 @@ const SEATS: SeatLimits = SeatLimits {
     of_address: MAX_GROUPS / 2,
     reserve: MAX_GROUPS / 16,
 };
-/// Maximum number of followers of a group: enough for a lecture, and fewer than the server's viewers.
+/// Maximum number of followers of a group: enough for a lecture, and fewer than the viewers that the server admits.
 pub(super) const MAX_FOLLOWERS: usize = 1000;
-/// Lifetime of a group, so that a forgotten one ends.
+/// Maximum lifetime of a group, so that a forgotten group ends.
 const MAX_AGE: Duration = Duration::from_secs(12 * 3600);
 
 /// Maximum number of followers that are listed for the leader. Followers who ask for control come first.
 const MAX_LISTED: usize = 32;
 
-/// Minimum interval between two poses that a follower is sent, short enough for a smooth picture.
+/// Minimum interval between two poses that are sent to a follower: short enough for smooth motion.
 const POSE_INTERVAL: Duration = Duration::from_millis(50);
-/// The interval is at least this multiplied by the number of followers, so that all followers together get at most 5,000 poses a second.
+/// The interval between poses is at least this time multiplied by the number of followers, so that all followers together get at most 5,000
+/// poses a second.
 const POSE_INTERVAL_PER_FOLLOWER: Duration = Duration::from_micros(200);
-/// Minimum interval between two messages that list the members of the group.
+/// Minimum interval between two messages to a member that list the members of the group.
 const MEMBERS_INTERVAL: Duration = Duration::from_millis(250);
 
 /// Number of the leader as a member. Followers have numbers from 1.
@@ -128,11 +129,13 @@ pub(super) enum GroupError {
     Unknown,
     #[error("the group has {MAX_FOLLOWERS} followers")]
     Full,
-    #[error("only the leader gives control, to a follower who asks for it; who has it gives it back, to 0")]
+    #[error(
+        "control can be given only by the leader, to a follower who asks for it, or given back to the leader, which is number 0"
+    )]
     MayNotGive,
     #[error("another member of the group has control, expected `ask-control` or `leave` first")]
     NotInControl,
-    #[error("in no group, expected `lead` or `join` first")]
+    #[error("this viewer is in no group, expected `lead` or `join` first")]
     NoMember,
 }
 
@@ -158,12 +161,12 @@ pub(super) enum GroupEvent {
     Ended(&'static str),
 }
 
-/// A viewer's membership of a group. Dropping it takes the viewer out of the group. If the leader's is dropped without `leave`, the group
-/// waits for the leader.
+/// A viewer's membership of a group. Dropping the membership takes the viewer out of the group. If the leader's membership is dropped
+/// without [`Member::leave`], the group waits for the leader.
 pub(super) struct Member {
-    /// Token of the viewer's connection. The leader's is cancelled when the leader resumes on another connection.
+    /// Token of the viewer's connection. The token of a leader is cancelled when the leader resumes on another connection.
     connection: CancellationToken,
-    /// Whether the viewer has left for good, so that the group does not wait for it.
+    /// Whether the viewer has left for good, so that the group does not wait for the viewer.
     has_left: bool,
     group: Arc<Group>,
     groups: Groups,
@@ -189,7 +192,10 @@ impl Groups {
         self.by_id.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Starts a group. `id` is random: it is the only secret that a viewer needs to join.
+    /// Starts a group. `id` must be random, because it is the only secret that a viewer needs to join.
+    ///
+    /// # Errors
+    /// [`GroupError::TooMany`] if there is no seat for another group.
     pub(super) fn lead(&self, id: String, leader: Leader) -> Result<Member, GroupError> {
         let seat = self.seat_for(&leader)?;
         let connection = CancellationToken::new();
@@ -228,6 +234,9 @@ impl Groups {
     }
 
     /// Joins a group as a follower. `may_edit`: whether the follower can be given control.
+    ///
+    /// # Errors
+    /// [`GroupError::Unknown`], or [`GroupError::Full`].
     pub(super) fn join(&self, id: &str, name: Option<String>, may_edit: bool) -> Result<Member, GroupError> {
         let group = self.group(id).filter(|group| !group.ended.is_cancelled());
         let group = group.ok_or(GroupError::Unknown)?;
@@ -291,20 +300,20 @@ impl Member {
         !self.connection.is_cancelled() && self.members.borrow().control == self.number
     }
 
-    /// Returns the number of followers, including one that has control.
+    /// Returns the number of followers. A follower that has control counts too.
     pub(super) fn follower_count(&self) -> u32 {
         self.members.borrow().followers.len() as u32
     }
 
-    /// Waits for the next event. Members without control also get scenes and poses, which the member in control sends.
+    /// Waits for the next event. Scenes and poses are events of members without control only, because the member in control sends them.
     async fn next_event(&mut self) -> GroupEvent {
-        let follows = !self.has_control();
+        let is_following = !self.has_control();
         tokio::select! {
             () = self.group.ended.cancelled() => GroupEvent::Ended("the leader has ended it, or has not come back"),
             () = self.connection.cancelled() => GroupEvent::Ended("you lead it on another connection"),
             () = sleep_until(self.group.expires) => GroupEvent::Ended("it is 12 hours old"),
-            Ok(()) = self.scene.changed(), if follows => GroupEvent::Scene,
-            Ok(()) = changed_after(self.pose_due, &mut self.pose), if follows => {
+            Ok(()) = self.scene.changed(), if is_following => GroupEvent::Scene,
+            Ok(()) = changed_after(self.pose_due, &mut self.pose), if is_following => {
                 self.pose_due = Instant::now() + POSE_INTERVAL.max(POSE_INTERVAL_PER_FOLLOWER * self.follower_count());
                 GroupEvent::Pose(self.pose.borrow_and_update().clone().unwrap_or_default())
             }
@@ -321,7 +330,7 @@ impl Member {
         scene.filter(|_| !self.has_control())
     }
 
-    /// Broadcasts the scene that this member is shown, if it has control.
+    /// Broadcasts the scene that is shown to this member, if this member has control.
     pub(super) fn broadcast_scene(&self, scene: Scene) {
         if self.has_control() {
             self.group.scene.send_if_modified(|current| {
@@ -355,17 +364,17 @@ impl Member {
     /// Requests control, or withdraws the request.
     pub(super) fn request_control(&self, asks: bool) {
         self.group.members.send_if_modified(|members| {
-            let Some(own) = members.followers.get_mut(&self.number) else {
+            let Some(follower) = members.followers.get_mut(&self.number) else {
                 return false;
             };
-            std::mem::replace(&mut own.asks_control, asks) != asks
+            std::mem::replace(&mut follower.asks_control, asks) != asks
         });
     }
 
     /// Gives control to the follower `to`, who must have asked for it and may edit, or back to the leader.
     ///
     /// # Errors
-    /// [`GroupError::MayNotGive`] if this member may not give it.
+    /// [`GroupError::MayNotGive`] if this member may not give control to `to`.
     pub(super) fn give_control(&self, to: u32) -> Result<(), GroupError> {
         let mut is_allowed = false;
         self.group.members.send_if_modified(|members| {
@@ -400,7 +409,10 @@ impl Member {
             you: self.number,
             control: members.control,
             followers: members.followers.len() as u32,
-            asks: members.followers.get(&self.number).is_some_and(|own| own.asks_control),
+            asks: members
+                .followers
+                .get(&self.number)
+                .is_some_and(|follower| follower.asks_control),
             leader_away: members.away_since.is_some(),
             key: (self.number == LEADER).then(|| self.group.leader.key.clone()),
             people,

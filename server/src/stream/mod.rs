@@ -38,12 +38,12 @@ pub use socket::Deadlines;
 pub use viewers::MAX_VIEWERS;
 use viewers::Viewers;
 
-/// Maximum bytes of a message that is read. Above [`MAX_MESSAGE_BYTES`], so that a message slightly over the limit is answered with its
-/// close code; a longer one ends the connection.
+/// Maximum bytes of a message that is read. It is above [`MAX_MESSAGE_BYTES`], so that the server can answer a message slightly over that
+/// limit with the right close code. A message over this limit ends the connection.
 const MAX_READ_BYTES: usize = 16 * MAX_MESSAGE_BYTES;
 
-/// Size of a connection's read buffer: edits have some hundred bytes. Each read clears the buffer first; the library's default is 128 KiB,
-/// for servers that receive large messages.
+/// Size of a connection's read buffer. It is small, because edits have some hundred bytes and each read clears the buffer first. The
+/// library's default of 128 KiB is for servers that receive large messages.
 const READ_BUFFER_BYTES: usize = 4 << 10;
 
 /// State that the sessions of all viewers share: count of viewers, cached surfaces, and groups. Clones are cheap.
@@ -95,15 +95,15 @@ impl<B: Backend> StreamState<B> {
         self
     }
 
-    /// Waits until the last connection has ended. To be called after `shutdown` was cancelled.
+    /// Waits until the last connection has ended. Call this after `shutdown` was cancelled.
     pub async fn closed(&self) {
         self.tasks.close();
         self.tasks.wait().await;
     }
 }
 
-/// The WebSocket at `/api/v1/stream`. Authorization is checked before ([`crate::access::gate`]): browsers let any page open a WebSocket to
-/// any server.
+/// Returns the router of the WebSocket at `/api/v1/stream`. [`crate::access::gate`] checks authorization before, because browsers let any
+/// page open a WebSocket to any server.
 pub fn router<B: Backend>(state: StreamState<B>) -> Router {
     Router::new()
         .route("/api/v1/stream", any(upgrade::<B>))

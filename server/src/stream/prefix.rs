@@ -1,5 +1,5 @@
-//! From a surface to the frames of one prefix: the regions that differ from those that the client holds, encoded in batches on the CPU
-//! pool.
+//! Makes the frames of one prefix from a surface: finds the regions that differ from those that the client holds, and encodes them in
+//! batches on the CPU pool.
 
 use std::sync::Arc;
 
@@ -14,14 +14,14 @@ use tokio_util::sync::CancellationToken;
 use super::shared::{ChunkCache, HeldRegion, HeldRegions, SharedStep};
 use crate::pool::{self, Panicked};
 
-/// Triangles in a batch for each thread of the pool. Another viewer's work waits for two batches, which take about 5 ms.
+/// Maximum triangles of a batch for each thread of the pool. Another viewer's work waits for at most two batches, which take about 5 ms.
 const BATCH_TRIANGLES: usize = 25_000;
-/// Chunks in a batch for each thread. Bounds the number of frames that wait for the socket, because the coarsest prefixes are many tiny
-/// chunks.
+/// Maximum chunks of a batch for each thread. It bounds the number of frames that wait for the socket, because the coarsest prefixes
+/// consist of many tiny chunks.
 const BATCH_CHUNKS: usize = 128;
 
-/// Maximum regions of two surfaces that are compared on the calling task: for so few, a dispatch to the pool takes longer than the
-/// comparison.
+/// Maximum number of regions, of both surfaces together, that are compared on the calling task. Dispatching so small a comparison to the
+/// pool would take longer than the comparison.
 const FEW_REGIONS: usize = 512;
 
 /// Why a prefix could not be made.
@@ -46,11 +46,11 @@ pub(super) struct Changes {
     pub changed: Vec<Part>,
     /// Number of regions that the client holds already.
     pub unchanged: usize,
-    /// Regions that the client holds afterwards.
+    /// Regions that the client holds after the step.
     pub held: HeldRegions,
 }
 
-/// The part of a prefix that is sent for a region.
+/// The change of one region: a part of a prefix.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Part {
     /// The mesh of a region, by the index of the region in the step.
@@ -67,7 +67,7 @@ impl Part {
         }
     }
 
-    /// Whether the region's chunk is encoded already. The prefix in its header is set when it is sent.
+    /// Whether the region's chunk is encoded already. The prefix in the chunk's header is set when the chunk is sent.
     fn is_encoded(self, step: &SharedStep, coding: Coding) -> bool {
         match self {
             Self::Made(region) => step.regions[region].is_encoded(coding),
@@ -75,16 +75,16 @@ impl Part {
         }
     }
 
-    fn encode(self, step: &SharedStep, id: (PrefixId, Coding), kept: &ChunkCache) -> Result<Bytes, EncodeError> {
+    fn encode(self, step: &SharedStep, id: (PrefixId, Coding), cache: &ChunkCache) -> Result<Bytes, EncodeError> {
         match self {
-            Self::Made(region) => step.chunk(region, id, kept),
+            Self::Made(region) => step.chunk(region, id, cache),
             Self::Gone(coords) => encode::encode_gone(coords, id.0),
         }
     }
 }
 
-/// Returns the regions of a step that differ from `held`, to be sent in this coding. A step has all regions of a surface, or only those
-/// that were remade.
+/// Returns the regions of a step that differ from `held`, to be sent in this coding. A step contains all regions of a surface, or only the
+/// regions that were remade.
 pub(super) async fn compare(
     step: Arc<SharedStep>,
     held: Arc<HeldRegions>,
@@ -102,13 +102,17 @@ pub(super) async fn compare(
 }
 
 fn differences(step: Arc<SharedStep>, held: &HeldRegions, coding: Coding) -> Changes {
-    let made: FxHashSet<[u32; 3]> = step.regions.iter().map(|region| region.coords).collect();
-    let remade = step.made.surface.remade.as_ref();
+    let with_mesh: FxHashSet<[u32; 3]> = step.regions.iter().map(|region| region.coords).collect();
+    let remade = step.refinement.surface.remade.as_ref();
     let mut gone: Vec<[u32; 3]> = match remade {
-        Some(remade) => remade.iter().filter(|c| held.contains_key(*c)).copied().collect(),
+        Some(remade) => remade
+            .iter()
+            .filter(|coords| held.contains_key(*coords))
+            .copied()
+            .collect(),
         None => held.keys().copied().collect(),
     };
-    gone.retain(|coords| !made.contains(coords));
+    gone.retain(|coords| !with_mesh.contains(coords));
     gone.sort_unstable();
     let mut after = if remade.is_some() {
         held.clone()
@@ -119,18 +123,18 @@ fn differences(step: Arc<SharedStep>, held: &HeldRegions, coding: Coding) -> Cha
         after.remove(coords);
     }
     let mut changed = Vec::new();
-    for (number, region) in step.regions.iter().enumerate() {
+    for (index, region) in step.regions.iter().enumerate() {
         let before = held.get(&region.coords);
-        let same = before.filter(|before| before.hash.triangles == region.hash.triangles);
-        if same.is_none() {
-            changed.push(Part::Made(number));
+        let unchanged_region = before.filter(|before| before.hash.triangles == region.hash.triangles);
+        if unchanged_region.is_none() {
+            changed.push(Part::Made(index));
         }
         // Regions that are not sent again keep the order and the coding in which they were sent.
         let sent = HeldRegion {
             hash: region.hash,
             coding,
         };
-        after.insert(region.coords, *same.unwrap_or(&sent));
+        after.insert(region.coords, *unchanged_region.unwrap_or(&sent));
     }
     let unchanged = after.len() - changed.len();
     changed.extend(gone.into_iter().map(Part::Gone));
@@ -143,7 +147,7 @@ fn differences(step: Arc<SharedStep>, held: &HeldRegions, coding: Coding) -> Cha
     }
 }
 
-/// Takes the next batch from the end of a step's `parts`, in reverse order: at least one part if any is left.
+/// Takes the next batch from the end of a step's `parts`, which are in reverse order. Returns at least one part if any is left.
 pub(super) fn take_batch(step: &SharedStep, parts: &mut Vec<Part>) -> Vec<Part> {
     take_batch_for(rayon::current_num_threads(), |part| part.triangles(step), parts)
 }
@@ -166,17 +170,17 @@ pub(super) async fn encode(
     step: Arc<SharedStep>,
     batch: Vec<Part>,
     id: (PrefixId, Coding),
-    kept: Arc<ChunkCache>,
+    cache: Arc<ChunkCache>,
     token: CancellationToken,
 ) -> Result<Vec<Bytes>, PrefixError> {
     if batch.iter().all(|part| part.is_encoded(&step, id.1)) {
-        let chunks = batch.into_iter().map(|part| part.encode(&step, id, &kept));
+        let chunks = batch.into_iter().map(|part| part.encode(&step, id, &cache));
         return Ok(chunks.collect::<Result<_, _>>()?);
     }
     pool::run(move || {
         let encode = |part: Part| match part {
             _ if token.is_cancelled() => Err(PrefixError::Cancelled),
-            part => Ok(part.encode(&step, id, &kept)?),
+            part => Ok(part.encode(&step, id, &cache)?),
         };
         batch
             .into_par_iter()
@@ -187,7 +191,7 @@ pub(super) async fn encode(
     .await?
 }
 
-/// Encodes in parallel the errors of those regions whose current mesh the client holds.
+/// Encodes the vertex errors of regions in parallel. Skips a region if the client does not hold the mesh that was measured.
 pub(super) async fn encode_errors(
     errors: Vec<VertexErrors>,
     held: Arc<HeldRegions>,

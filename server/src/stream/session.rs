@@ -12,11 +12,11 @@
 //! ```
 //!
 //! - **Edits.** An edit comes into force when all samples that it uses are loaded and every value is resolved (`resolving`); for most edits
-//!   this is at once. Then its surface is marked as changed. When the session's last job has left the device, the view starts a new
+//!   this is at once. Then the edit's surface is marked as changed. When the session's last job has left the device, the view starts a new
 //!   [`generation::Generation`]. Edits that arrive before that change the same view, so they coalesce.
-//! - **Steps.** A generation makes and sends its surface in steps (`generation` draws their phases). At most one job is on the device
+//! - **Steps.** A generation makes and sends its surface in steps (see the diagram in `generation`). At most one job is on the device
 //!   (`jobs`). `pace` limits the size of a step, and `line` the bytes in flight.
-//! - **Scheduling.** First steps come before further steps of other surfaces, and the surface that was edited last before others. A
+//! - **Scheduling.** First steps come before further steps of other surfaces, and the surface that was edited last comes before others. A
 //!   surface that has waited for a few jobs of others comes before all (`schedule`).
 //! - **Budget.** A connection has one budget. Surfaces share it in proportion to their full triangles, which are counted first if two or
 //!   more share. A surface whose part of the budget changes is made again, and surfaces that shrink are shown before those that grow
@@ -30,8 +30,8 @@
 //! - **Questions.** Queries on a surface are answered when no generation is running (`questions`).
 //! - **Time.** At another time step the surfaces are made again, and regions that are equal are not sent again. The next step is
 //!   prefetched (`time`).
-//! - **Rest.** When no edit of any surface follows the final one, a better one is made if there is one, and its error is measured
-//!   (`rest`). An edit of another surface postpones that.
+//! - **Rest.** When no edit of any surface follows a final surface, a better surface is made if possible, and its error is measured
+//!   (`rest`). An edit of another surface postpones this work.
 //!
 //! Invariant: the regions that the client holds of a surface change only when `committed` goes to the writer. Later frames arrive in order
 //! or the connection ends, so both sides agree.
@@ -93,10 +93,10 @@ use resolving::Resolved;
 use time::{Ahead, read_ahead};
 use trace::ConnectionId;
 
-/// The session stops reading messages when frames of this many bytes wait that belong to no generation. So a client that sends but does not
-/// read cannot fill memory. Frames of a surface do not count, so edits are read on a slow line too.
+/// Maximum bytes of waiting frames that belong to no generation; above this, the session stops reading messages. So a client that sends but
+/// does not read cannot fill memory. Frames of a surface do not count, so edits are read on a slow line too.
 const HIGH_WATER: usize = 1 << 20;
-/// Frames of at most this size are sent even if the line is full.
+/// Frames of at most this many bytes are sent even if the line is full.
 const SMALL_FRAME: usize = 1 << 10;
 
 /// Input from the reader.
@@ -129,7 +129,7 @@ enum Event<'a> {
     /// The viewer's token has ended.
     TokenEnded,
     WriterGone,
-    /// A sign of life is due.
+    /// A heartbeat is due.
     Beat,
     Message(Option<Incoming>),
     WriterReady(mpsc::Permit<'a, Outgoing>),
@@ -154,22 +154,22 @@ pub(super) struct Session<B> {
     who: Identity,
     id: ConnectionId,
     opened: Option<OpenVolume>,
-    /// Number of volumes opened so far, which tells the result of an earlier `open` from that of the current one.
+    /// Number of volumes opened so far. It distinguishes the result of an earlier `open` from that of the current one.
     opens: u32,
     open_pace: OpenPace,
     last_generation: u32,
     /// Number of edits so far. The surface that was edited last has priority.
     edits: u64,
-    /// Number of surfaces' jobs on the device so far. It shows how long a surface has waited.
+    /// Number of jobs for surfaces on the device so far. The waiting time of a surface is counted in these jobs.
     jobs: u64,
     /// The job on the device. It outlives its generation: a cancelled job must return before the next one is queued.
     device: Option<BoxFuture<DeviceDone>>,
-    /// Jobs on the CPU pool for the step that is being sent, whose results are taken in this order.
+    /// Jobs on the CPU pool for the step that is being sent. Their results are handled in the order of the jobs.
     pool: FuturesOrdered<BoxFuture<PoolDone>>,
     outbox: Outbox,
     /// Malformed messages in a row.
     malformed: u32,
-    /// Whether the client has sent `drawn` before: then it acknowledges later pictures too.
+    /// Whether the client has sent `drawn` before. A client that has done so acknowledges later pictures too.
     acknowledges: bool,
     pace: Pace,
     heartbeat: Heartbeat,
@@ -234,7 +234,7 @@ impl<B: Backend> Session<B> {
             self.advance_questions();
             self.advance_ahead();
             let held_until = self.open_pace.held_until(Instant::now());
-            let listening = self.outbox.kept_bytes() < HIGH_WATER && held_until.is_none();
+            let is_listening = self.outbox.kept_bytes() < HIGH_WATER && held_until.is_none();
             let draw_pause_until = self.opened.as_ref().and_then(|opened| opened.draw_pause_until());
             let line_capacity_at = self.line.capacity_at();
             let rest_due = self.opened.as_ref().and_then(|opened| opened.rest_due());
@@ -247,7 +247,7 @@ impl<B: Backend> Session<B> {
                 () = shutdown.cancelled() => Event::Shutdown,
                 () = token_ended.as_mut() => Event::TokenEnded,
                 () = outgoing.closed() => Event::WriterGone,
-                message = inbox.recv(), if listening => Event::Message(message),
+                message = inbox.recv(), if is_listening => Event::Message(message),
                 permit = outgoing.reserve(), if self.may_write() => {
                     permit.map_or(Event::WriterGone, Event::WriterReady)
                 }
@@ -285,7 +285,7 @@ impl<B: Backend> Session<B> {
                     }
                     None
                 }
-                Event::Beat => self.on_beat(listening),
+                Event::Beat => self.on_beat(is_listening),
                 Event::Device(done) => {
                     self.device = None;
                     self.on_device(done);
@@ -368,7 +368,7 @@ impl<B: Backend> Session<B> {
         self.send_error(error.code(), error.public_message(), true);
     }
 
-    /// Whether the writer may take the next frame. A small frame is sent on a full line too, such as the ping whose pong frees capacity.
+    /// Whether the writer may take the next frame. A small frame, such as the ping whose pong frees capacity, is sent on a full line too.
     fn may_write(&self) -> bool {
         let next = self.outbox.next_bytes();
         next.is_some_and(|bytes| bytes <= SMALL_FRAME || self.line.has_capacity())
@@ -376,8 +376,8 @@ impl<B: Backend> Session<B> {
 
     /// Sends a heartbeat before all frames that wait, so that a client can tell a slow line from a dead one. The ping makes the client
     /// answer.
-    fn on_beat(&mut self, listening: bool) -> Option<CloseCode> {
-        let Some(longest) = self.heartbeat.beat(listening, self.line.time_of(BEFORE_BEAT)) else {
+    fn on_beat(&mut self, is_listening: bool) -> Option<CloseCode> {
+        let Some(longest) = self.heartbeat.beat(is_listening, self.line.time_of(BEFORE_BEAT)) else {
             return Some(CloseCode::Silent);
         };
         let message = ServerMessage::Heartbeat {
@@ -389,12 +389,12 @@ impl<B: Backend> Session<B> {
     }
 
     fn on_message(&mut self, message: Incoming) -> Option<CloseCode> {
-        self.heartbeat.heard(matches!(message, Incoming::Pong(_)));
+        self.heartbeat.record_frame(matches!(message, Incoming::Pong(_)));
         let text = match message {
             Incoming::Text(text) => text,
             Incoming::Pong(number) => {
                 if Line::is_own(number) {
-                    self.line.received(number);
+                    self.line.on_pong(number);
                 } else {
                     self.pace.on_pong(number);
                 }
@@ -443,15 +443,15 @@ impl<B: Backend> Session<B> {
             }
             Err(why) => {
                 self.malformed += 1;
-                let last = self.malformed >= MAX_MALFORMED;
-                self.send_error("bad-message", why, !last);
-                last.then_some(CloseCode::Malformed)
+                let is_last = self.malformed >= MAX_MALFORMED;
+                self.send_error("bad-message", why, !is_last);
+                is_last.then_some(CloseCode::Malformed)
             }
         }
     }
 
     fn on_open(&mut self, id: &str, step: u32) {
-        // Lease the volume first, so that the session notices if it is removed from here on.
+        // Lease the volume first, so that the session notices if the volume is removed from here on.
         let lease = self.backend.lease(id);
         match self.backend.find(id, &self.who) {
             Some(dataset) => self.open_step(dataset, step, lease),

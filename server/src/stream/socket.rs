@@ -1,4 +1,4 @@
-//! One connection: a task that reads, a task that writes, and the session between them, which alone interprets messages.
+//! One connection: a task that reads, a task that writes, and the session between them. Only the session interprets messages.
 
 use std::time::Duration;
 
@@ -18,25 +18,25 @@ use crate::access::Identity;
 use crate::metrics;
 use crate::wire::messages::{CloseCode, MAX_MESSAGE_BYTES};
 
-/// Capacity of the queue between reader and session. Messages wait in it only if the client does not read its own; when the queue is full,
-/// TCP gives back-pressure.
+/// Capacity of the queue between reader and session, in messages. Messages wait in the queue only if the client does not read the server's
+/// messages. When the queue is full, TCP gives back-pressure.
 const INBOX: usize = 16;
-/// Capacity of the queue between session and writer. Small, because a newer edit can no longer drop frames in it, but large enough that
-/// small frames share a write to the network.
+/// Capacity of the queue between session and writer, in frames. It is small, because a newer edit cannot drop frames from this queue, but
+/// large enough that small frames share a write to the network.
 const OUTGOING: usize = 32;
 
-/// Maximum bytes of small frames that are written together, under one deadline; a last frame may exceed it. A line that cannot take that
+/// Number of bytes after which no further frame is added to a write. All frames of a write have one deadline. A line that cannot take that
 /// many bytes before the deadline is too slow to use.
-const TOGETHER_BYTES: usize = 64 << 10;
+const WRITE_BYTES: usize = 64 << 10;
 
-/// Maximum messages that are read per [`WINDOW`], pings and pongs included: several times those of a slider that is dragged on a fast
-/// screen. If a client sends more, TCP gives back-pressure, so that reading its messages does not slow down other viewers.
+/// Maximum messages that are read per [`WINDOW`], including pings and pongs: several times as many as a slider sends that is dragged on a
+/// fast screen. If a client sends more, TCP gives back-pressure, so that reading messages of this client does not slow down other viewers.
 const MAX_WINDOW_MESSAGES: u32 = 50;
 /// The window of [`MAX_WINDOW_MESSAGES`].
 const WINDOW: Duration = Duration::from_millis(100);
 
-/// Time between the close frame and the end of a connection that cannot be read any more. Ending it at once with unread bytes would reset
-/// the connection, and the client could lose the close frame.
+/// Time between the close frame and the end of a connection that cannot be read any more. If the connection ended at once with unread
+/// bytes, it would be reset, and the client could lose the close frame.
 const LINGER: Duration = Duration::from_secs(1);
 
 /// Time to send the waiting frames and the close frame after a token has ended.
@@ -70,7 +70,7 @@ impl Default for Deadlines {
     }
 }
 
-/// Serves one viewer to its end.
+/// Serves one viewer until the connection ends.
 pub(super) async fn serve<S, B>(
     socket: S,
     backend: B,
@@ -102,7 +102,7 @@ pub(super) async fn serve<S, B>(
     }
 }
 
-/// Passes messages to the session, and after its end reads on until the client closes.
+/// Passes messages to the session. After the end of the session, reads and drops messages until the client closes.
 async fn read<S>(mut stream: S, session: mpsc::Sender<Incoming>, silence: Duration)
 where
     S: Stream<Item = Result<Message, axum::Error>> + Unpin,
@@ -114,7 +114,7 @@ where
         let incoming = match timeout(silence, stream.next()).await {
             Err(_) => Some(Incoming::Fault(CloseCode::Silent)),
             Ok(None) => return,
-            // Nothing can be read any more.
+            // After an error the connection cannot be read any more.
             Ok(Some(Err(error))) => {
                 if let Some(code) = violation(error) {
                     let _ = session.send(Incoming::Fault(code)).await;
@@ -192,7 +192,7 @@ where
     }
 }
 
-/// Sends a message and those that wait behind it, up to [`TOGETHER_BYTES`]. If one of them closes the connection, returns the close code.
+/// Sends a message and those that wait behind it, up to [`WRITE_BYTES`]. If one of them closes the connection, returns the close code.
 async fn send<S>(
     sink: &mut S,
     first: Result<Message, CloseCode>,
@@ -213,10 +213,11 @@ where
             Message::Ping(_) | Message::Pong(_) | Message::Close(_) => {}
         }
         sink.feed(message).await?;
-        let has_space = chunk_bytes + text_bytes < TOGETHER_BYTES;
+        let has_space = chunk_bytes + text_bytes < WRITE_BYTES;
         next = has_space.then(|| frames.try_recv().ok()).flatten().map(to_message);
     }
-    // Flushes only when the queue is empty: a coarse prefix is thousands of frames of some hundred bytes, which are sent together.
+    // Flushes only when the queue is empty, because a coarse prefix consists of thousands of frames of some hundred bytes. So these frames
+    // are sent together.
     if frames.is_empty() {
         sink.flush().await?;
     }
@@ -246,7 +247,7 @@ where
     let _ = timeout(deadline, sink.send(Message::Close(Some(frame)))).await;
 }
 
-/// Closes a connection that is not served.
+/// Closes a connection that the server does not accept.
 pub(super) async fn refuse<S>(socket: S, code: CloseCode, deadlines: Deadlines)
 where
     S: Stream<Item = Result<Message, axum::Error>> + Sink<Message, Error = axum::Error> + Unpin,

@@ -2,16 +2,16 @@
 
 use crate::access::{Identity, NoSeat, Seat, SeatLimits, Seats};
 
-/// Maximum viewers. One user can have half of them, one address three quarters, and the last ones are reserved for administrators; a
-/// further connection is closed with 4002. Most viewers only look. Viewers who edit share the device's queue; when it is full, further ones
-/// wait in order.
+/// Maximum number of viewers. One user can have half of them, one address three quarters, and the last ones are reserved for
+/// administrators. A further connection is closed with 4002. Most viewers only look. Viewers who edit share the device's queue; when the
+/// queue is full, further edits wait in order.
 pub const MAX_VIEWERS: usize = 1024;
 
 /// Bytes of surfaces that are encoded ahead for all viewers together.
 const AHEAD_BYTES: usize = 256 << 20;
-/// Maximum for one viewer: the socket sends these bytes while the next batch is encoded.
+/// Maximum bytes that are encoded ahead for one viewer. The socket sends these bytes while the next batch is encoded.
 const MAX_AHEAD_BYTES: usize = 4 << 20;
-/// Bytes for one viewer if [`MAX_VIEWERS`] are connected: some chunks.
+/// Bytes that are encoded ahead for one viewer if [`MAX_VIEWERS`] are connected: some chunks.
 const MIN_AHEAD_BYTES: usize = AHEAD_BYTES / MAX_VIEWERS;
 
 /// The connected viewers. Clones share the count.
@@ -39,8 +39,8 @@ impl Viewers {
         self.0.take(who.into())
     }
 
-    /// Bytes of a surface in a viewer's outbox below which its next batch is encoded. The more viewers there are, the fewer bytes, because
-    /// all of them may stop reading.
+    /// Returns the number of bytes of surfaces in a viewer's outbox below which the viewer's next batch is encoded. The more viewers there
+    /// are, the lower the number is, because all of them may stop reading.
     pub fn ahead_bytes(&self) -> usize {
         (AHEAD_BYTES / self.0.taken().max(1)).clamp(MIN_AHEAD_BYTES, MAX_AHEAD_BYTES)
     }

@@ -6,7 +6,7 @@ use serde::{Deserialize, Deserializer, Serialize};
 use super::error::EditError;
 use super::interest::triple;
 
-/// Maximum positions: each is compared with the part of every vertex.
+/// Maximum number of positions. It is small, because each position is compared with the part of every vertex.
 const MAX_POSITIONS: usize = 64;
 
 /// Parts (connected components) of the surface. Each position, in world coordinates, chooses the part whose surface is nearest to it; if
@@ -40,7 +40,10 @@ impl ChosenPartsJson {
                 positions.len()
             ));
         }
-        match positions.iter().position(|at| !at.iter().all(|x| x.is_finite())) {
+        match positions
+            .iter()
+            .position(|position| !position.iter().all(|x| x.is_finite()))
+        {
             Some(i) => refuse(format!(
                 "position {i} of {name} is {:?}, expected finite numbers",
                 positions[i]
@@ -51,10 +54,10 @@ impl ChosenPartsJson {
 
     /// Converts to the kernels' type. `index_of` maps a position in the world to the volume's index space, or to `None` outside the volume.
     pub fn to_kernel(&self, index_of: impl Fn([f64; 3]) -> Option<[f32; 3]>) -> ChosenParts {
-        let all = |positions: &[[f64; 3]]| positions.iter().copied().map(&index_of).collect();
+        let indices = |positions: &[[f64; 3]]| positions.iter().copied().map(&index_of).collect();
         match self {
-            Self::Hide(positions) => ChosenParts::Hide(all(positions)),
-            Self::Keep(positions) => ChosenParts::Keep(all(positions)),
+            Self::Hide(positions) => ChosenParts::Hide(indices(positions)),
+            Self::Keep(positions) => ChosenParts::Keep(indices(positions)),
         }
     }
 }
@@ -71,7 +74,7 @@ pub(super) fn some_parts<'de, D: Deserializer<'de>>(
 /// # Errors
 /// The text that was found, and the expected form.
 pub fn parse_position(text: &str) -> Result<[f64; 3], String> {
-    let finite = triple(text).filter(|at| at.iter().all(|x| x.is_finite()));
+    let finite = triple(text).filter(|position| position.iter().all(|x| x.is_finite()));
     finite.ok_or_else(|| format!("{text:?}, expected three numbers X,Y,Z, such as 10,-20.5,30"))
 }
 

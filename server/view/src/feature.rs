@@ -29,7 +29,7 @@ pub struct VectorName {
 }
 
 impl VectorName {
-    /// The feature of these components.
+    /// Returns the feature of these components.
     pub fn new(feature: VectorFeature, components: [String; 3]) -> Self {
         let name = format!("{}({})", feature.name(), components.join(","));
         Self {
@@ -40,7 +40,7 @@ impl VectorName {
     }
 
     /// Parses `FEATURE(X,Y,Z)` of three fields or expressions; `None` if `name` does not begin with a vector feature and a parenthesis.
-    /// Spaces around a name are ignored.
+    /// Ignores spaces around a name.
     fn find(name: &str, fields: &[&str]) -> Option<Result<Self, EditError>> {
         let (kind, rest) = name.split_once('(')?;
         let feature = *VectorFeature::ALL
@@ -128,7 +128,7 @@ impl FeatureName {
         scaled(range, smallest.powi(self.length_power()))
     }
 
-    /// The inverse of [`Self::range_in_world`].
+    /// Converts a range of the feature's values to the device's units: the inverse of [`Self::range_in_world`].
     pub fn range_on_device(&self, range: [f32; 2], smallest: f64) -> [f32; 2] {
         scaled(range, smallest.powi(-self.length_power()))
     }
@@ -162,11 +162,11 @@ impl FeatureName {
             }
         }
         let names: Vec<_> = derived().map(|feature| feature.name()).collect();
-        let of_vectors: Vec<_> = VectorFeature::ALL
+        let vector_forms: Vec<_> = VectorFeature::ALL
             .iter()
-            .map(|f| format!("{}(X,Y,Z)", f.name()))
+            .map(|feature| format!("{}(X,Y,Z)", feature.name()))
             .collect();
-        let of_vectors: Vec<_> = of_vectors.iter().map(String::as_str).collect();
+        let vector_forms: Vec<_> = vector_forms.iter().map(String::as_str).collect();
         Err(EditError {
             field: "feature",
             why: format!(
@@ -177,13 +177,13 @@ impl FeatureName {
                 ),
                 Self::NONE,
                 quoted(&names),
-                quoted(&of_vectors),
+                quoted(&vector_forms),
                 quoted(fields)
             ),
         })
     }
 
-    /// The name in JSON.
+    /// Returns the name in JSON.
     pub fn as_str(&self) -> &str {
         match self {
             Self::None => Self::NONE,
@@ -203,8 +203,8 @@ impl FeatureName {
         }
     }
 
-    /// Returns the range of values that is mapped to 0 to 1 if the view sets none, from the minimum and the maximum. A computed feature is
-    /// ranked by its magnitude: with both signs, the range begins at 0.
+    /// Returns the range of values that is mapped to 0 to 1 if the view sets none, from the minimum and the maximum. For a computed
+    /// feature the magnitude of the values counts: if they have both signs, the range begins at 0.
     pub(super) fn own_range(&self, [lo, hi]: [f32; 2]) -> [f32; 2] {
         let is_computed = matches!(self, Self::Derived(_) | Self::Vector(_));
         if is_computed && lo < 0.0 {

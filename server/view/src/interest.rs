@@ -74,7 +74,7 @@ impl InterestJson {
                         "min {min:?} and max {max:?}, expected finite numbers, each of min below that of max"
                     ));
                 }
-                // Halved before they are added, because their sum may be infinite.
+                // The corners are halved before they are added, because their sum could be infinite.
                 let [min, max] = [min, max].map(|corner| 0.5 * DVec3::from(corner));
                 Ok((InterestShape::Cube, min + max, max - min))
             }
@@ -95,18 +95,22 @@ impl InterestJson {
     /// Converts to the kernels' type, for a volume with this index space; `None` if the region is not valid. If the samples are unevenly
     /// spaced, a sphere becomes the ellipsoid of index space with the same ends along the axes.
     pub(super) fn to_kernel(&self, index_space: &IndexSpace) -> Option<Interest> {
-        let (shape, centre, half) = self.extent().ok()?;
-        if let Some((centre, half)) = index_space.extent(centre, half) {
+        let (shape, centre, half_size) = self.extent().ok()?;
+        if let Some((centre, half_size)) = index_space.extent(centre, half_size) {
             return Some(Interest {
                 centre: to_f32(centre),
-                rows: [DVec3::X / half.x, DVec3::Y / half.y, DVec3::Z / half.z].map(to_f32),
+                rows: [DVec3::X / half_size.x, DVec3::Y / half_size.y, DVec3::Z / half_size.z].map(to_f32),
                 shape,
                 importance: self.importance,
             });
         }
         let world_from_index = index_space.world_from_even;
         let rows = world_from_index.matrix3.transpose();
-        let rows = [rows.x_axis / half.x, rows.y_axis / half.y, rows.z_axis / half.z];
+        let rows = [
+            rows.x_axis / half_size.x,
+            rows.y_axis / half_size.y,
+            rows.z_axis / half_size.z,
+        ];
         Some(Interest {
             centre: to_f32(world_from_index.inverse().transform_point3(centre)),
             rows: rows.map(to_f32),
@@ -126,14 +130,14 @@ pub(super) fn check(interest: &[InterestJson]) -> Result<(), EditError> {
         )));
     }
     let mut numbered = interest.iter().enumerate();
-    numbered.try_for_each(|(i, one)| one.check().map_err(|why| refuse(format!("region {i} has {why}"))))
+    numbered.try_for_each(|(i, region)| region.check().map_err(|why| refuse(format!("region {i} has {why}"))))
 }
 
 fn is_finite(numbers: [f64; 3]) -> bool {
     numbers.iter().all(|x| x.is_finite())
 }
 
-/// Converts to the nearest finite 32-bit numbers. This clamps only positions that are farther away than any sample.
+/// Converts to the nearest finite 32-bit numbers. Only positions that are farther away than any sample are clamped.
 fn to_f32(numbers: DVec3) -> [f32; 3] {
     numbers.to_array().map(|x| (x as f32).clamp(f32::MIN, f32::MAX))
 }
@@ -151,6 +155,7 @@ impl FromStr for InterestJson {
     }
 }
 
+/// Parses a region, without a check of its numbers.
 fn parse(text: &str) -> Option<InterestJson> {
     let (extent, importance) = text.split_once('=')?;
     let mut parts = extent.split(':');
@@ -182,6 +187,7 @@ fn parse(text: &str) -> Option<InterestJson> {
     })
 }
 
+/// Parses three numbers, `X,Y,Z`.
 pub(super) fn triple(text: &str) -> Option<[f64; 3]> {
     let numbers: Option<Vec<f64>> = text.split(',').map(|number| number.parse().ok()).collect();
     numbers?.try_into().ok()

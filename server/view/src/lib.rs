@@ -1,4 +1,4 @@
-//! Requests of users: [`View`] is everything that decides a surface, [`Edit`] any part of it, as JSON.
+//! Requests of users. A [`View`] is everything that decides a surface; an [`Edit`] is any part of a view, as JSON.
 
 mod chosen_parts;
 mod edit;
@@ -41,9 +41,9 @@ pub struct View {
     pub iso: Option<Isovalue>,
     /// Field whose isosurface is shown.
     pub field: String,
-    /// Restricts the surface to certain samples; `None`: no restriction.
+    /// Restriction of the surface to certain samples; `None`: no restriction.
     pub mask: Option<Box<Mask>>,
-    /// Feature that importance depends on beside smoothness.
+    /// Feature on which importance depends in addition to smoothness.
     pub feature: FeatureName,
     /// Feature values that become 0 and 1; `None`: the feature's own range.
     pub feature_range: Option<[f32; 2]>,
@@ -55,12 +55,12 @@ pub struct View {
     pub error: Option<Distance>,
     /// Maximum size of the surface, instead of `beta`. If there is an error too, the greater tolerance of both decides.
     pub budget: Option<Budget>,
-    /// Minimum area of a part of the surface, in world units: smaller parts are removed first. 0: none are. Above 0 only if an error or a
-    /// budget decides.
+    /// Minimum area of a part of the surface, in world units. Smaller parts are removed before the surface is cut. 0: no part is removed.
+    /// Above 0 only if an error or a budget decides.
     pub min_part: f64,
-    /// Chosen parts, which are removed, or which alone are kept; `None`: all are shown. Set only if an error or a budget decides.
+    /// Chosen parts, which are removed, or which alone stay; `None`: all parts are shown. Set only if an error or a budget decides.
     pub parts: Option<ChosenPartsJson>,
-    /// The threshold that keeps the budget. It is found when the surface is planned, and dropped at the next edit.
+    /// The threshold that keeps the budget. It is computed when the surface is made, and dropped at the next edit.
     pub fitted: Option<Fitted>,
     /// Guard on the error.
     pub max_error: MaxError,
@@ -93,15 +93,15 @@ fn check_field(field: &str, fields: &[&str]) -> Result<(), EditError> {
 }
 
 impl View {
-    /// Weight of the gradient magnitude that a volume opens with. On most of a surface, the gradient is only a small part of the steepest
-    /// one in the volume. With less weight, smoothness alone would be visible: the teeth of a skull, or the crowns of a brain's folds,
-    /// would look like all the rest.
+    /// Weight of the gradient magnitude with which a volume opens. On most of a surface, the gradient is much smaller than the steepest one
+    /// in the volume. With less weight, only smoothness would be visible: the teeth of a skull, or the crowns of a brain's folds, would
+    /// look like the rest of the surface.
     pub const OPENING_ALPHA: f32 = 0.5;
 
-    /// Error that a volume opens with: too small to see if a voxel covers a few pixels.
+    /// Error with which a volume opens: too small to see if a voxel covers a few pixels.
     pub const OPENING_ERROR: Distance = Distance::Spacings(0.1);
 
-    /// Budget that a volume opens with: the bundled viewer draws it at once on a GPU.
+    /// Budget with which a volume opens. On a GPU the bundled viewer draws that many triangles at once.
     pub const OPENING_BUDGET: ShareBudget = ShareBudget {
         share: 0.25,
         max: Some(1_000_000),
@@ -132,10 +132,11 @@ impl View {
         }
     }
 
-    /// The view that a volume with these fields opens with: the defaults, with the volume's own opening edit applied if it has one.
+    /// Returns the view with which a volume with these fields opens: the defaults, to which the volume's opening edit is applied, if it has
+    /// one.
     ///
     /// # Errors
-    /// The opening edit does not fit the fields.
+    /// The opening edit has an invalid value, or a field that the volume does not have.
     pub fn opening(fields: &[&str], edit: Option<&Edit>) -> Result<Self, EditError> {
         let defaults = Self {
             feature: FeatureName::Derived(DerivedFeature::GradientMagnitude),
@@ -175,8 +176,8 @@ impl View {
             view.feature = FeatureName::find(feature, fields)?;
         }
         // A derived feature of another field is a different feature, although its name is the same.
-        let derived = matches!(view.feature, FeatureName::Derived(_));
-        if view.feature != self.feature || (derived && view.field != self.field) {
+        let is_derived = matches!(view.feature, FeatureName::Derived(_));
+        if view.feature != self.feature || (is_derived && view.field != self.field) {
             view.feature_range = None;
         }
         if let Some([lo, hi]) = edit.feature_range {
@@ -215,7 +216,7 @@ impl View {
         Ok(view)
     }
 
-    /// Applies β or a budget, and the guards.
+    /// Applies the criterion, the mesher, the guards, and the parts that are left out.
     fn apply_quality(&mut self, edit: &Edit) -> Result<(), EditError> {
         self.fitted = None;
         let refuse = |field, why| Err(EditError { field, why });
@@ -242,8 +243,8 @@ impl View {
         self.apply_parts(edit)
     }
 
-    /// Applies the minimum area of parts. Only a cut of the vertex tree can leave parts out; in a view without such a cut, the minimum is
-    /// 0.
+    /// Applies the minimum area of parts. Only a cut of the vertex tree can leave parts out, so the minimum is 0 in a view without such a
+    /// cut.
     fn apply_min_part(&mut self, edit: &Edit) -> Result<(), EditError> {
         let refuse = |why| Err(EditError { field: "minPart", why });
         if let Some(min_part) = edit.min_part {
@@ -343,11 +344,11 @@ impl View {
         Ok(())
     }
 
-    /// Fills in the values that depend on the data: the isovalue that the shown field opens with, and the range of the feature's histogram.
-    /// Each is requested only if it is needed.
+    /// Fills in the values that depend on the data: the opening isovalue of the shown field, and the range of the feature's histogram. Each
+    /// of the two functions is called only if its result is needed.
     ///
     /// # Errors
-    /// Those of the requests.
+    /// Those of the two functions.
     pub fn resolve<E>(
         &mut self,
         opening_iso: impl FnOnce() -> Result<OpeningIso, E>,
@@ -365,9 +366,9 @@ impl View {
         Ok(())
     }
 
-    /// Returns the parameters of a cut of cubes. `smallest` is the volume's smallest spacing, of which lengths in the parameters are
-    /// multiples. `index_space` includes the samples of a cap's padding. `None` before [`View::resolve`]. Until a budget is fitted, the
-    /// threshold is the view's own.
+    /// Returns the parameters of a cut of cubes; `None` before [`View::resolve`]. `smallest`: the volume's smallest spacing, in world
+    /// units; lengths in the parameters are multiples of it. `index_space` includes the samples of a cap's padding. Until a budget is
+    /// fitted, the threshold is the view's own.
     pub fn cut_params(&self, smallest: f64, index_space: &IndexSpace) -> Option<CutParams> {
         let tolerance = self.tolerance_in_force(smallest);
         let interest = self.interest.iter().map(|interest| interest.to_kernel(index_space));
@@ -396,31 +397,35 @@ impl View {
         }
     }
 
-    /// Whether the topology is kept. `auto` gives way to a budget.
+    /// Returns the guard on the topology. `auto` may give way to a budget.
     pub fn topology_in_force(&self) -> Topology {
         self.fitted.map_or(self.topology.into(), |fitted| fitted.topology)
     }
 
-    /// The guards that are `auto` and gave way to the budget: first the error guard, if the fitted tolerance is above both the view's error
-    /// and [`MaxError::AUTO`]; then the topology guard.
+    /// Returns the guards that are `auto` and gave way to the budget: first the error guard, if the fitted tolerance is above both the
+    /// view's error and [`MaxError::AUTO`]; then the topology guard.
     pub fn gave_way(&self, smallest: f64) -> Vec<GuardName> {
         let Some(fitted) = self.fitted else { return Vec::new() };
-        let error = self.max_error == MaxError::Auto
+        let error_gave_way = self.max_error == MaxError::Auto
             && self.is_by_error()
             && fitted.threshold > MaxError::AUTO.in_spacings(smallest)
             && self
                 .error
                 .is_none_or(|error| fitted.threshold > error.in_spacings(smallest));
-        let topology = self.topology == TopologyName::Auto && fitted.topology == Topology::Free;
-        let both = [(GuardName::MaxError, error), (GuardName::Topology, topology)];
-        both.into_iter()
+        let topology_gave_way = self.topology == TopologyName::Auto && fitted.topology == Topology::Free;
+        let guards = [
+            (GuardName::MaxError, error_gave_way),
+            (GuardName::Topology, topology_gave_way),
+        ];
+        guards
+            .into_iter()
             .filter(|(_, gave_way)| *gave_way)
             .map(|(guard, _)| guard)
             .collect()
     }
 
-    /// Returns the maximum triangles, if the full surface has `full` triangles. For a budget of bytes it is known once the budget is
-    /// fitted.
+    /// Returns the maximum triangles, if the full surface has `full` triangles. For a budget of bytes the maximum is known only once the
+    /// budget is fitted.
     pub fn max_triangles(&self, full: u64) -> Option<u64> {
         match self.budget? {
             Budget::Triangles(budget) => Some(budget.of(full)),
@@ -433,14 +438,14 @@ impl View {
         self.mesher == MesherName::Dual && (self.error.is_some() || self.budget.is_some())
     }
 
-    /// Returns β, if it decides: the one fitted to the budget, or else the view's own.
+    /// Returns β, if β decides: the one that was fitted to the budget, or else the view's own.
     pub fn beta_in_force(&self) -> Option<f32> {
         let beta = self.fitted.map_or(self.beta, |fitted| fitted.threshold);
         (!self.is_by_error()).then_some(beta)
     }
 
-    /// Returns the tolerance in smallest spacings, if an error or a budget decides; if both do, the greater one. Below 0 nothing is
-    /// decimated.
+    /// Returns the tolerance in smallest spacings, if an error or a budget decides. If there are both, returns the greater tolerance. If it
+    /// is below 0, nothing is decimated.
     pub fn tolerance_in_force(&self, smallest: f64) -> Option<f32> {
         let guard = self
             .max_error_in_force()
@@ -454,14 +459,14 @@ impl View {
         self.is_by_error().then_some(greater)
     }
 
-    /// Returns every value as an edit. Of β, the error and the budgets, it has only those in force.
+    /// Returns an edit with every value of the view. Of β, the error and the budgets, the edit has only those in force.
     pub fn to_edit(&self) -> Edit {
         let (triangles, bytes) = match self.budget {
             None => (None, None),
             Some(Budget::Triangles(triangles)) => (Some(triangles), None),
             Some(Budget::Bytes(bytes)) => (None, Some(bytes)),
         };
-        let decides = self.error.is_none() && self.budget.is_none();
+        let beta_decides = self.error.is_none() && self.budget.is_none();
         Edit {
             iso: self.iso.map(Isovalue::get),
             field: Some(self.field.clone()),
@@ -469,7 +474,7 @@ impl View {
             feature: Some(self.feature.as_str().to_owned()),
             feature_range: self.feature_range,
             alpha: Some(self.alpha),
-            beta: decides.then_some(self.beta),
+            beta: beta_decides.then_some(self.beta),
             error: self.error,
             triangles,
             bytes,
@@ -486,12 +491,13 @@ impl View {
     }
 }
 
-/// Returns the range. If it is empty, returns one that begins at its minimum and is not empty.
+/// Returns the range. If the range is empty, returns one that begins at the same minimum and is not empty.
 fn proper_range([lo, hi]: [f32; 2]) -> [f32; 2] {
     if lo < hi {
         return [lo, hi];
     }
-    // A constant feature: f̂ is 0 everywhere. The width must not vanish when it is added to a large value.
+    // The feature is constant, so f̂ is 0 everywhere. The width grows with the value, because adding a small one would not change a large
+    // value.
     [lo, lo + lo.abs().max(1.0)]
 }
 

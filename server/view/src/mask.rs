@@ -1,4 +1,4 @@
-//! Masks: restrict the surface to samples at which a field of the same volume has certain values, `labels==3`.
+//! Masks. A mask restricts the surface to samples at which a field of the same volume has certain values: `labels==3`.
 
 use std::hash::{Hash, Hasher};
 
@@ -7,7 +7,7 @@ use serde::{Deserialize, Deserializer};
 
 use super::error::{EditError, quoted};
 
-/// Operators. An operator that begins with another one comes before it.
+/// The operators by their symbols. A symbol that begins with another symbol comes before that one.
 const OPERATORS: [(&str, Operator); 6] = [
     ("==", Operator::Is),
     ("!=", Operator::IsNot),
@@ -17,7 +17,7 @@ const OPERATORS: [(&str, Operator); 6] = [
     ("<", Operator::Below),
 ];
 
-/// Maximum values and ranges of a list.
+/// Maximum number of values and ranges in a list.
 const MAX_RANGES: usize = 64;
 
 /// How values are compared.
@@ -37,10 +37,11 @@ pub struct Mask {
     /// The field.
     pub field: String,
     operator: Operator,
-    /// Minimum and maximum of each range; both are equal for a number. Exactly one number if the operator is neither `==` nor `!=`.
+    /// Minimum and maximum of each range. For a number both are equal. If the operator is neither `==` nor `!=`, there is exactly one
+    /// number.
     ranges: Vec<[f32; 2]>,
-    /// The ends of the ranges as whole numbers, if they are written so, because floats may round them.
-    whole: Vec<[Option<i128>; 2]>,
+    /// The ends of the ranges as exact integers, if they are written as whole numbers, because floats may round them.
+    integers: Vec<[Option<i128>; 2]>,
     text: String,
 }
 
@@ -60,61 +61,60 @@ fn unquoted(name: &str) -> &str {
 }
 
 impl Mask {
-    /// Reads `FIELD==V`, with `==`, `!=`, `<`, `<=`, `>` or `>=`. Behind `==` and `!=` there may be a range `LOW..HIGH`, both ends included, or a
-    /// list of numbers and ranges: `labels==1,4..7`. Spaces around names and numbers do not count, nor do quotation marks around a name.
+    /// Reads `FIELD==V`, with `==`, `!=`, `<`, `<=`, `>` or `>=`. Behind `==` and `!=` there may be a range `LOW..HIGH`, which includes
+    /// both ends, or a list of numbers and ranges: `labels==1,4..7`. Ignores spaces around names and numbers, and quotation marks around a
+    /// name.
     ///
     /// # Errors
     /// The expected text, and the character at which it is missing.
     pub fn parse(text: &str, fields: &[&str]) -> Result<Self, EditError> {
-        let refuse = |at: usize, why: String| {
-            let character = text[..at].chars().count() + 1;
+        let refuse = |offset: usize, why: String| {
+            let character = text[..offset].chars().count() + 1;
             EditError {
                 field: "mask",
                 why: format!("{text:?}, character {character}: {why}"),
             }
         };
-        let starts = text.char_indices().map(|(at, _)| at);
-        let found = starts.filter_map(|at| {
-            let (symbol, operator) = OPERATORS.iter().find(|(symbol, _)| text[at..].starts_with(symbol))?;
-            Some((at, *symbol, *operator))
+        let starts = text.char_indices().map(|(offset, _)| offset);
+        let mut operators = starts.filter_map(|offset| {
+            let (symbol, operator) = OPERATORS
+                .iter()
+                .find(|(symbol, _)| text[offset..].starts_with(symbol))?;
+            Some((offset, *symbol, *operator))
         });
-        let Some((at, symbol, operator)) = found.into_iter().next() else {
+        let Some((symbol_offset, symbol, operator)) = operators.next() else {
             return Err(refuse(
                 text.len(),
                 "expected ==, !=, <, <=, > or >= behind a field's name".into(),
             ));
         };
-        let named = text[..at].trim();
+        let name = text[..symbol_offset].trim();
         // A field of exactly this name takes precedence, as in expressions, which may contain masks.
-        let field = if fields.contains(&named) {
-            named
-        } else {
-            unquoted(named)
-        };
+        let field = if fields.contains(&name) { name } else { unquoted(name) };
         if !fields.contains(&field) {
             let begin = text.len() - text.trim_start().len();
             return Err(refuse(
-                begin.min(at),
+                begin.min(symbol_offset),
                 format!("no field {field:?}, expected one of {}", quoted(fields)),
             ));
         }
-        let (mut ranges, mut whole, mut from) = (Vec::new(), Vec::new(), at + symbol.len());
+        let (mut ranges, mut integers, mut from) = (Vec::new(), Vec::new(), symbol_offset + symbol.len());
         for item in text[from..].split(',') {
             ranges.push(parse_range(item).map_err(|(offset, why)| refuse(from + offset, why))?);
             let (low, high) = item.split_once("..").unwrap_or((item, item));
-            whole.push([low, high].map(|number| number.trim().parse().ok()));
+            integers.push([low, high].map(|number| number.trim().parse().ok()));
             from += item.len() + 1;
         }
         let is_list = matches!(operator, Operator::Is | Operator::IsNot);
         if !is_list && (ranges.len() > 1 || ranges[0][0] < ranges[0][1]) {
             return Err(refuse(
-                at + symbol.len(),
+                symbol_offset + symbol.len(),
                 format!("expected one number behind {symbol}"),
             ));
         }
         if ranges.len() > MAX_RANGES {
             return Err(refuse(
-                at + symbol.len(),
+                symbol_offset + symbol.len(),
                 format!("{} values, expected at most {MAX_RANGES}", ranges.len()),
             ));
         }
@@ -122,7 +122,7 @@ impl Mask {
             field: field.to_owned(),
             operator,
             ranges,
-            whole,
+            integers,
             text: text.trim().to_owned(),
         })
     }
@@ -132,17 +132,17 @@ impl Mask {
         &self.text
     }
 
-    /// Returns the operator, and the minimum and maximum of each range that values are compared with.
+    /// Returns the operator, and the minimum and maximum of each range with which values are compared.
     pub(super) fn comparison(&self) -> (Operator, &[[f32; 2]]) {
         (self.operator, &self.ranges)
     }
 
-    /// Returns the same mask for a field that has ranks in place of the numbers in its file.
+    /// Returns the same mask for a field that has ranks in place of the numbers in its file. `rank` returns the rank of a number.
     #[must_use]
     pub fn by_ranks(&self, rank: impl Fn(i128) -> Option<f32>) -> Self {
         let mut mask = self.clone();
-        for (range, whole) in mask.ranges.iter_mut().zip(&self.whole) {
-            for (end, number) in range.iter_mut().zip(whole) {
+        for (range, integers) in mask.ranges.iter_mut().zip(&self.integers) {
+            for (end, number) in range.iter_mut().zip(integers) {
                 *end = number.and_then(&rank).unwrap_or(*end);
             }
         }
@@ -164,12 +164,12 @@ impl Mask {
     }
 }
 
-/// Parses a number or `LOW..HIGH`. An error has the byte at which it was found.
+/// Parses a number or `LOW..HIGH`. An error has the byte of the text at which it was found.
 fn parse_range(text: &str) -> Result<[f32; 2], (usize, String)> {
-    let number = |part: &str, at: usize| {
-        let place = at + part.len() - part.trim_start().len();
-        let value = part.trim().parse::<f32>().ok().filter(|v| v.is_finite());
-        value.ok_or_else(|| (place, format!("expected a finite number, found {:?}", part.trim())))
+    let number = |part: &str, start: usize| {
+        let offset = start + part.len() - part.trim_start().len();
+        let value = part.trim().parse::<f32>().ok().filter(|value| value.is_finite());
+        value.ok_or_else(|| (offset, format!("expected a finite number, found {:?}", part.trim())))
     };
     let Some((low, high)) = text.split_once("..") else {
         let value = number(text, 0)?;

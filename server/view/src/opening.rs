@@ -1,4 +1,4 @@
-//! The isovalue that a field opens with, from its histogram, and why it is that one.
+//! Chooses the isovalue with which a field opens, from the field's histogram, and states the reason.
 
 use isopeel_kernels::Histogram;
 use serde::Serialize;
@@ -37,40 +37,41 @@ pub enum IsoReason {
 
 /// Hounsfield units at which bone begins: above soft tissue and blood with contrast agent, below thin and spongy bone.
 const BONE: f64 = 300.0;
-/// Minimum share of bone; less is noise.
+/// Minimum share of samples in bone. A smaller share is noise.
 const MIN_BONE: f64 = 1e-3;
-/// Minimum share of air for values to be taken for Hounsfield units if the file declares no unit.
+/// Minimum share of samples in air, if the file declares no unit. With less air, the values do not count as Hounsfield units.
 const MIN_AIR: f64 = 0.02;
-/// The background's peak lies within this many of the first bins. It is air, or the padding of a grid.
+/// Number of the first bins in which the background's peak must be. The background is air, or the padding of a grid.
 const MAX_PEAK: usize = 32;
-/// Maximum bins from the peak's maximum to its end. A histogram that falls more slowly has no peak there.
+/// Maximum number of bins from the peak's maximum to its end. A histogram that falls more slowly has no peak.
 const MAX_PEAK_WIDTH: usize = 16;
 /// A peak ends at the first bin whose count is below this share of the maximum.
 const PEAK_END: f64 = 0.02;
 /// Minimum share of the samples in a background.
 const MIN_BACKGROUND: f64 = 0.25;
-/// Minimum share of all samples outside of the background. Also the minimum share of those samples in the class beyond a valley.
+/// Minimum share of all samples that are outside of the background. Of these samples, it is also the minimum share that is beyond a valley.
 const MIN_REST: f64 = 0.01;
-/// Minimum bins with samples outside of the background. With fewer, the values are labels, of which the background is one.
+/// Minimum number of bins with samples outside of the background. With fewer bins, the values are labels, and the background is one of
+/// them.
 const MIN_REST_BINS: usize = 8;
-/// Number of bins with samples in a volume of labels. Two bins are a mask, and more are measured values.
+/// Number of bins with samples in a volume of labels. Two bins are a mask, and more than 16 are measured values.
 const LABEL_BINS: std::ops::RangeInclusive<usize> = 3..=16;
-/// Maximum run of consecutive bins with samples that is taken for labels if a bin has several whole numbers. A longer run is a peak.
+/// Maximum number of consecutive bins with samples that counts as labels, if a bin has several whole numbers. A longer run is a peak.
 const MAX_LABEL_RUN: usize = 4;
-/// Minimum runs of consecutive bins with samples in a volume of many labels.
+/// Minimum number of runs of consecutive bins with samples in a volume of many labels.
 const MIN_LABEL_RUNS: usize = 4;
-/// Minimum ratio between the counts of neighbouring bins that is rough. Bins of two and of three whole numbers differ by less.
+/// Minimum ratio between the counts of neighbouring bins that counts as rough. Bins of two and of three whole numbers differ by less.
 const ROUGH: f64 = 2.4;
 /// Tolerance of a bin's ends, in the values' unit.
 const ROUNDING: f64 = 1e-3;
-/// A valley is level up to this multiple of its lowest bin.
+/// Bins of a valley have at most its lowest count multiplied by this number.
 const VALLEY_FLOOR: f64 = 1.5;
-/// Bins on each side of a bin that are averaged with it.
+/// Number of bins on each side of a bin that are averaged with the bin.
 const SMOOTHING: usize = 2;
 
 impl OpeningIso {
-    /// Chooses an isovalue. `unit` is that of the values, if the file declares one; `has_labels` is whether the file says that they are
-    /// labels. There are samples on both sides of the isovalue, unless all have the same value.
+    /// Chooses an isovalue. `unit`: unit of the values, if the file declares one. `has_labels`: whether the file says that the values are
+    /// labels. There are samples on both sides of the isovalue, unless all samples have the same value.
     pub fn of(histogram: &Histogram, unit: Option<&str>, has_labels: bool) -> Self {
         let bins = Bins::of(histogram);
         let choice = |value, reason, explanation| Self {
@@ -113,10 +114,13 @@ impl OpeningIso {
 
 /// A histogram's bins, in double precision.
 struct Bins<'a> {
+    /// Minimum and maximum of the values.
     range: [f32; 2],
     low: f64,
+    /// Width of a bin, in the values' unit.
     width: f64,
     counts: &'a [u64],
+    /// Number of samples in all bins.
     total: f64,
 }
 
@@ -137,6 +141,7 @@ impl<'a> Bins<'a> {
         self.low + bin * self.width
     }
 
+    /// Returns the value at the centre of a bin.
     fn centre(&self, bin: usize) -> f64 {
         self.start(bin as f64 + 0.5)
     }
@@ -148,7 +153,8 @@ impl<'a> Bins<'a> {
         counts.iter().sum::<u64>() as f64 / self.total.max(1.0)
     }
 
-    /// Clamps a value so that it is above the minimum, whose samples are then outside, and at most the maximum, whose samples are inside.
+    /// Clamps a value to above the minimum, so that samples of the minimum are outside, and to at most the maximum, so that samples of the
+    /// maximum are inside.
     fn inside_range(&self, value: f64) -> f32 {
         let [low, high] = self.range;
         let value = value as f32;
@@ -159,10 +165,10 @@ impl<'a> Bins<'a> {
         }
     }
 
-    /// Whether the values are Hounsfield units with bone. If the file declares no unit, the values decide: air at -1000, padding at or
-    /// below it, and most of the rest in soft tissue or fat, around 0.
+    /// Whether the values are Hounsfield units, and some are bone. If the file declares no unit, the values decide: there must be air at
+    /// -1000, padding at or below that, and most of the other samples in soft tissue or fat, around 0.
     fn is_hounsfield(&self, unit: Option<&str>) -> bool {
-        let near = |bin: usize, from: f64, to: f64| {
+        let overlaps = |bin: usize, from: f64, to: f64| {
             let centre = self.centre(bin);
             centre + self.width / 2.0 >= from && centre - self.width / 2.0 <= to
         };
@@ -177,18 +183,18 @@ impl<'a> Bins<'a> {
             Some(unit) if !unit.is_empty() => return false,
             _ => {}
         }
-        let air = bins().filter(|&bin| near(bin, -1100.0, -900.0));
+        let air = bins().filter(|&bin| overlaps(bin, -1100.0, -900.0));
         let air = air.map(|bin| self.share(bin, bin + 1)).sum::<f64>();
         let mode = bins()
             .filter(|&bin| self.centre(bin) > -500.0)
             .max_by_key(|&bin| self.counts[bin]);
-        let is_tissue = mode.is_some_and(|bin| near(bin, -150.0, 150.0));
-        let reaches = (-4096.0..=-900.0).contains(&self.low) && self.range[1] >= 1000.0;
-        reaches && air >= MIN_AIR && is_tissue
+        let is_tissue = mode.is_some_and(|bin| overlaps(bin, -150.0, 150.0));
+        let has_range = (-4096.0..=-900.0).contains(&self.low) && self.range[1] >= 1000.0;
+        has_range && air >= MIN_AIR && is_tissue
     }
 
     /// Whether the values are labels: few different whole numbers, the lowest of which is the background. If a bin has several whole
-    /// numbers, bins are less certain evidence: then a peak, or too few samples outside of the background, count as measured values.
+    /// numbers, the bins are weaker evidence. Then a peak, or too few samples outside of the background, mean measured values.
     fn are_labels(&self) -> bool {
         let occupied: Vec<usize> = (0..self.counts.len()).filter(|&bin| self.counts[bin] > 0).collect();
         let is_whole = |value: f32| value.fract() == 0.0;
@@ -218,32 +224,32 @@ impl<'a> Bins<'a> {
             return false;
         }
         let pairs = occupied.windows(2).skip(1).map(|pair| {
-            let [a, b] = [self.counts[pair[0]], self.counts[pair[1]]].map(|n| n as f64);
+            let [a, b] = [self.counts[pair[0]], self.counts[pair[1]]].map(|count| count as f64);
             ((a / b).max(b / a), a + b)
         });
-        let (mut rough, mut all) = (0.0, 0.0);
+        let (mut rough_weight, mut total_weight) = (0.0, 0.0);
         for (ratio, weight) in pairs {
-            all += weight;
+            total_weight += weight;
             if ratio >= ROUGH {
-                rough += weight;
+                rough_weight += weight;
             }
         }
-        rough > 0.5 * all
+        rough_weight > 0.5 * total_weight
     }
 
-    /// Returns the bin at which the background's peak ends, or at which the valley behind it ends. `None` if there is no such peak: it must
-    /// be high, narrow and at the low end, with enough samples beside it.
+    /// Returns the bin at which the background's peak ends, or the valley behind the peak. `None` if there is no such peak: a peak must be
+    /// high, narrow and at the low end, and there must be enough samples beside it.
     fn background(&self) -> Option<usize> {
         let counts = self.counts;
         let (peak, &height) = counts
             .iter()
             .enumerate()
-            .max_by_key(|&(bin, &n)| (n, std::cmp::Reverse(bin)))?;
-        let has_ended = |n: u64| (n as f64) < PEAK_END * height as f64;
-        let width = counts[peak..].iter().position(|&n| has_ended(n))?;
+            .max_by_key(|&(bin, &count)| (count, std::cmp::Reverse(bin)))?;
+        let has_ended = |count: u64| (count as f64) < PEAK_END * height as f64;
+        let width = counts[peak..].iter().position(|&count| has_ended(count))?;
         let end = peak + width;
-        let rest = &counts[end..];
-        let occupied = rest.iter().filter(|&&n| n > 0).count();
+        let outside = &counts[end..];
+        let occupied = outside.iter().filter(|&&count| count > 0).count();
         let is_background = peak < MAX_PEAK
             && width <= MAX_PEAK_WIDTH
             && self.share(0, end) >= MIN_BACKGROUND
@@ -252,47 +258,50 @@ impl<'a> Bins<'a> {
         is_background.then(|| self.valley(end).unwrap_or(end))
     }
 
-    /// The end of the valley between the background's peak, which ends at `end`, and the highest peak after it. `None` unless there are
-    /// samples beyond that peak. Values in the valley are partly background, and would be a class of their own.
+    /// Returns the end of the valley between the background's peak, which ends at `end`, and the highest peak after it. `None` unless there
+    /// are samples beyond that second peak. Values in the valley are partly background, and would otherwise become a class.
     fn valley(&self, end: usize) -> Option<usize> {
-        let rest = &self.counts[end..];
-        let smooth = |bin: usize| {
-            let around = &rest[bin.saturating_sub(SMOOTHING)..(bin + SMOOTHING + 1).min(rest.len())];
-            around.iter().sum::<u64>() as f64 / around.len() as f64
+        let counts = &self.counts[end..];
+        let average = |bin: usize| {
+            let window = &counts[bin.saturating_sub(SMOOTHING)..(bin + SMOOTHING + 1).min(counts.len())];
+            window.iter().sum::<u64>() as f64 / window.len() as f64
         };
-        let smooth: Vec<f64> = (0..rest.len()).map(smooth).collect();
-        let next = (1..smooth.len()).fold(0, |best, bin| if smooth[bin] > smooth[best] { bin } else { best });
-        let floor = smooth[..=next].iter().copied().fold(f64::INFINITY, f64::min);
-        let valley = smooth[..=next].iter().rposition(|&n| n <= VALLEY_FLOOR * floor)?;
-        let beyond = self.share(end + 2 * next - valley, self.counts.len());
+        let smooth: Vec<f64> = (0..counts.len()).map(average).collect();
+        let next_peak = (1..smooth.len()).fold(0, |best, bin| if smooth[bin] > smooth[best] { bin } else { best });
+        let floor = smooth[..=next_peak].iter().copied().fold(f64::INFINITY, f64::min);
+        let valley = smooth[..=next_peak]
+            .iter()
+            .rposition(|&count| count <= VALLEY_FLOOR * floor)?;
+        let beyond = self.share(end + 2 * next_peak - valley, self.counts.len());
         (beyond >= MIN_REST * self.share(end, self.counts.len())).then_some(end + valley)
     }
 
-    /// Otsu's threshold (1979) of the bins from `first` on, which maximizes the variance between the classes below and above it. If
-    /// thresholds without samples between them are equal, returns their middle. `None` if fewer than two bins have samples.
+    /// Returns Otsu's threshold (1979) of the bins from `first` on. It maximizes the variance between the classes below and above the
+    /// threshold. Thresholds without samples between them are equally good; then returns their middle. `None` if fewer than two bins have
+    /// samples.
     fn otsu(&self, first: usize) -> Option<f64> {
         let counts = || self.counts.iter().enumerate().skip(first);
-        let total: f64 = counts().map(|(_, &n)| n as f64).sum();
+        let total: f64 = counts().map(|(_, &count)| count as f64).sum();
         // Computes in bins, so that no sum overflows.
-        let total_sum: f64 = counts().map(|(bin, &n)| n as f64 * bin as f64).sum();
+        let total_sum: f64 = counts().map(|(bin, &count)| count as f64 * bin as f64).sum();
         let (mut below, mut below_sum) = (0.0, 0.0);
-        let (mut best, mut equal) = (0.0, None);
-        for (bin, &n) in counts() {
-            below += n as f64;
-            below_sum += n as f64 * bin as f64;
+        let (mut best, mut best_bins) = (0.0, None);
+        for (bin, &count) in counts() {
+            below += count as f64;
+            below_sum += count as f64 * bin as f64;
             let above = total - below;
             if below == 0.0 || above == 0.0 {
                 continue;
             }
-            let apart = below_sum / below - (total_sum - below_sum) / above;
-            let between = below * above * apart * apart;
-            match &mut equal {
-                Some((_, last)) if n == 0 && *last + 1 == bin => *last = bin,
-                _ if between > best => (best, equal) = (between, Some((bin, bin))),
+            let difference = below_sum / below - (total_sum - below_sum) / above;
+            let variance = below * above * difference * difference;
+            match &mut best_bins {
+                Some((_, last)) if count == 0 && *last + 1 == bin => *last = bin,
+                _ if variance > best => (best, best_bins) = (variance, Some((bin, bin))),
                 _ => {}
             }
         }
-        equal.map(|(first, last)| self.start((first + last) as f64 / 2.0 + 1.0))
+        best_bins.map(|(first, last)| self.start((first + last) as f64 / 2.0 + 1.0))
     }
 }
 

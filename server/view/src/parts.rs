@@ -3,44 +3,43 @@
 use super::quality::{Budget, ShareBudget, TriangleBudget};
 
 impl Budget {
-    /// Returns the budget's part for a surface of `full` triangles. The parts are in proportion to the triangles of the surfaces, `all`
-    /// together. Their sum does not exceed the budget, except that each part is at least 1.
+    /// Returns the budget's part for a surface of `full` triangles, if all surfaces together have `all` triangles. The parts are in
+    /// proportion to the triangles of the surfaces. Each part is at least 1; apart from that, their sum does not exceed the budget.
     #[must_use]
     pub fn part(self, full: u64, all: u64) -> Self {
-        let of = |whole: u64| ((u128::from(whole) * u128::from(full) / u128::from(all.max(1))) as u64).max(1);
+        let portion = |whole: u64| ((u128::from(whole) * u128::from(full) / u128::from(all.max(1))) as u64).max(1);
         match self {
-            Self::Bytes(bytes) => Self::Bytes(of(bytes)),
+            Self::Bytes(bytes) => Self::Bytes(portion(bytes)),
             Self::Triangles(TriangleBudget::AtMost(triangles)) => {
-                Self::Triangles(TriangleBudget::AtMost(of(triangles)))
+                Self::Triangles(TriangleBudget::AtMost(portion(triangles)))
             }
-            // Without a maximum, a share of all surfaces together is the same share of each.
+            // Without a maximum, a share of all surfaces together is the same share of each surface.
             Self::Triangles(share @ TriangleBudget::Share(ShareBudget { max: None, .. })) => Self::Triangles(share),
             Self::Triangles(TriangleBudget::Share(whole @ ShareBudget { max: Some(max), .. })) => {
                 let part = ShareBudget {
-                    max: Some(of(max)),
+                    max: Some(portion(max)),
                     ..whole
                 };
-                let (of_whole, of_part) = (TriangleBudget::Share(whole), TriangleBudget::Share(part));
-                let is_reached = of_part.of(full) < of_whole.of(full);
-                Self::Triangles(if is_reached { of_part } else { of_whole })
+                let (whole, part) = (TriangleBudget::Share(whole), TriangleBudget::Share(part));
+                let is_maximum_reached = part.of(full) < whole.of(full);
+                Self::Triangles(if is_maximum_reached { part } else { whole })
             }
         }
     }
 
-    /// Returns the budget less `reserved`; at least 1. A share without a maximum is a share of each surface, so that
-    /// nothing reserved for another surface is taken from it.
+    /// Returns the budget less `reserved`, but at least 1. A share without a maximum is unchanged, because it is a share of each surface.
     #[must_use]
     pub fn without(self, reserved: u64) -> Self {
-        let left = |whole: u64| whole.saturating_sub(reserved).max(1);
+        let remaining = |whole: u64| whole.saturating_sub(reserved).max(1);
         match self {
-            Self::Bytes(bytes) => Self::Bytes(left(bytes)),
+            Self::Bytes(bytes) => Self::Bytes(remaining(bytes)),
             Self::Triangles(TriangleBudget::AtMost(triangles)) => {
-                Self::Triangles(TriangleBudget::AtMost(left(triangles)))
+                Self::Triangles(TriangleBudget::AtMost(remaining(triangles)))
             }
             Self::Triangles(TriangleBudget::Share(ShareBudget { share, max })) => {
                 Self::Triangles(TriangleBudget::Share(ShareBudget {
                     share,
-                    max: max.map(left),
+                    max: max.map(remaining),
                 }))
             }
         }
@@ -55,7 +54,8 @@ impl Budget {
         }
     }
 
-    /// Returns the minimum budget for surfaces of `all` triangles together of which a surface of `full` triangles gets `part` triangles.
+    /// Returns the minimum budget for several surfaces with which a surface of `full` triangles gets `part` triangles. `all`: triangles of
+    /// all surfaces together.
     pub fn whole_of(part: u64, full: u64, all: u64) -> u64 {
         let whole = (u128::from(part) * u128::from(all)).div_ceil(u128::from(full.max(1)));
         u64::try_from(whole).unwrap_or(u64::MAX)

@@ -69,7 +69,8 @@ impl Distance {
     pub const EXPECTED: &str =
         "expected a number of world units, 0 or more, or text like \"0.25vx\" (multiples of the smallest spacing)";
 
-    /// Converts to multiples of this smallest spacing, which are the unit of lengths on the device; at most the largest finite number.
+    /// Converts to multiples of the smallest spacing `smallest`, in world units. The smallest spacing is the unit of lengths on the device.
+    /// The result is at most the largest finite number.
     pub fn in_spacings(self, smallest: f64) -> f32 {
         match self {
             Self::World(distance) => ((f64::from(distance) / smallest) as f32).min(f32::MAX),
@@ -77,7 +78,7 @@ impl Distance {
         }
     }
 
-    /// Converts to world units, in a volume with this smallest spacing.
+    /// Converts to world units, in a volume with the smallest spacing `smallest`.
     pub fn world(self, smallest: f64) -> f32 {
         match self {
             Self::World(distance) => distance,
@@ -85,7 +86,7 @@ impl Distance {
         }
     }
 
-    /// Whether its number is finite and not below 0.
+    /// Whether the distance is finite and not below 0.
     pub fn is_valid(self) -> bool {
         match self {
             Self::World(distance) | Self::Spacings(distance) => distance.is_finite() && distance >= 0.0,
@@ -277,8 +278,8 @@ impl TriangleBudget {
         match self {
             Self::AtMost(n) => n,
             Self::Share(ShareBudget { share, max }) => {
-                let of_full = (share * full as f64) as u64;
-                of_full.min(max.unwrap_or(u64::MAX)).max(1)
+                let share_of_full = (share * full as f64) as u64;
+                share_of_full.min(max.unwrap_or(u64::MAX)).max(1)
             }
         }
     }
@@ -303,7 +304,7 @@ impl FromStr for TriangleBudget {
     }
 }
 
-/// Maximum size of a surface. The tolerance (for marching cubes β) is fitted to it.
+/// Maximum size of a surface. The tolerance is fitted to the budget; for marching cubes, β is.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Budget {
     /// Triangles.
@@ -317,11 +318,11 @@ pub enum Budget {
 pub struct Fitted {
     /// Tolerance in force, in smallest spacings; for marching cubes β. Below 0 nothing is decimated.
     pub threshold: f32,
-    /// Whether the topology is kept.
+    /// Guard on the topology in force.
     pub topology: Topology,
     /// Maximum triangles of the finished surface.
     pub triangles: u64,
-    /// Whether the vertex tree is cut; if not, the octree is.
+    /// Whether the surface is a cut of the vertex tree, and not of the octree.
     pub is_tree_cut: bool,
 }
 

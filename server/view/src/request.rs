@@ -1,4 +1,5 @@
-//! Defaults of requests that are complete in themselves: the command line, batch jobs and REST. docs/command-line.md has their table.
+//! Defaults of requests that do not depend on earlier edits: those of the command line, batch jobs and REST. docs/command-line.md has a
+//! table of these defaults.
 
 use super::{Edit, EditError, FeatureName, View};
 
@@ -6,8 +7,9 @@ use super::{Edit, EditError, FeatureName, View};
 const FEATURE_ALPHA: f32 = 0.3;
 
 impl View {
-    /// Returns the view that a request asks for: its edit over the same defaults everywhere, whatever the volume opens with in a viewer.
-    /// Only the isovalue depends on the volume: if the edit has none, it is the one that the field opens with.
+    /// Returns the view of a request: its edit, applied to defaults. The defaults are the same for all volumes, and do not depend on the
+    /// view with which a volume opens in a viewer. Only the isovalue depends on the volume: if the edit has none, it is the field's opening
+    /// isovalue.
     ///
     /// # Errors
     /// A value out of its range, or a field that the volume does not have.

@@ -31,7 +31,7 @@ pub struct PointJson {
 }
 
 impl Default for TransferFunctionJson {
-    /// The identity, from blue to orange.
+    /// Returns the function whose importance is the blended feature itself, coloured from blue to orange.
     fn default() -> Self {
         let point = |x: f32, color: &str| PointJson {
             x,
@@ -45,18 +45,18 @@ impl Default for TransferFunctionJson {
 }
 
 impl TransferFunctionJson {
-    /// Converts to the kernels' type, which has importance alone.
+    /// Converts to the kernels' type, which has importance but no colours.
     ///
     /// # Errors
-    /// No point, too many, or a coordinate that is not in [0, 1].
+    /// There is no point, there are too many points, or a coordinate is not in [0, 1].
     pub fn to_kernel(&self) -> Result<TransferFunction, EditError> {
-        let points = self.points.iter().map(|p| ControlPoint {
-            x: p.x,
-            importance: p.importance,
+        let points = self.points.iter().map(|point| ControlPoint {
+            x: point.x,
+            importance: point.importance,
         });
-        TransferFunction::new(points.collect()).map_err(|e| EditError {
+        TransferFunction::new(points.collect()).map_err(|error| EditError {
             field: "transferFunction",
-            why: match e {
+            why: match error {
                 isopeel_kernels::Error::Invalid { why, .. } => why,
                 other => other.to_string(),
             },

@@ -1,5 +1,5 @@
-//! The boundary of the covered part of a mesh: directed edges, linked to loops. The links are hints for the coding. On a mesh that is not a
-//! manifold they may be wrong. That costs bits, but no correctness: encoder and decoder have the same links.
+//! The boundary of the covered part of a mesh: directed edges that are linked to loops. The links are hints for the coding. On a mesh that
+//! is not a manifold they may be wrong. Wrong links cost bits, but the result is correct, because encoder and decoder have the same links.
 
 /// Number of an edge.
 pub(super) type EdgeId = usize;
@@ -15,8 +15,9 @@ pub(super) struct Edge {
     pub level: u8,
     previous: EdgeId,
     next: EdgeId,
+    /// Whether the edge is still part of the boundary.
     is_open: bool,
-    /// Whether no triangle is behind it.
+    /// Whether there is no triangle behind the edge.
     pub is_border: bool,
 }
 
@@ -33,10 +34,11 @@ pub(super) enum Third {
     Other,
 }
 
+/// The boundary, with the edges that are no longer part of it.
 #[derive(Default)]
 pub(super) struct Boundary {
     edges: Vec<Edge>,
-    /// For each vertex, an edge that ended at it.
+    /// For each vertex, the edge that was last recorded to end at the vertex. The edge may be closed by now.
     ending: Vec<Option<EdgeId>>,
 }
 
@@ -63,12 +65,12 @@ impl Boundary {
 
     /// Returns for each vertex whether one of its edges is open.
     pub fn border_vertices(&self) -> Vec<bool> {
-        let mut at_border = vec![false; self.ending.len()];
+        let mut is_at_border = vec![false; self.ending.len()];
         for edge in self.edges.iter().filter(|edge| edge.is_open) {
-            at_border[edge.from as usize] = true;
-            at_border[edge.to as usize] = true;
+            is_at_border[edge.from as usize] = true;
+            is_at_border[edge.to as usize] = true;
         }
-        at_border
+        is_at_border
     }
 
     /// Adds a vertex.
@@ -76,7 +78,7 @@ impl Boundary {
         self.ending.push(None);
     }
 
-    /// Adds the loop around a first triangle. Returns its edges: those opposite to the corners b, a and c.
+    /// Adds the loop around a first triangle. Returns the edges of the loop: those opposite to the corners b, a and c.
     pub fn start(&mut self, [a, b, c]: [u32; 3], level: u8) -> [EdgeId; 3] {
         let first = self.edges.len();
         let ids = [first, first + 1, first + 2];
@@ -96,8 +98,8 @@ impl Boundary {
         ids
     }
 
-    /// Covers the triangle behind an edge; its third vertex is `c`. Returns the triangle's other edges: the one at the start of the given
-    /// edge, and the one at its end.
+    /// Covers the triangle behind an edge. `c`: third vertex of the triangle. Returns the triangle's other edges: first the one at the
+    /// start of the given edge, then the one at its end.
     pub fn cover(&mut self, id: EdgeId, c: u32, third: Third, level: u8) -> [EdgeId; 2] {
         let Edge {
             from: a,
@@ -107,12 +109,13 @@ impl Boundary {
             ..
         } = self.edges[id];
         let is_left_too = self.edges[previous].from == c;
-        let met = self.ending[c as usize].filter(|&met| met != id && self.is_open(met) && self.edges[met].to == c);
+        let incoming =
+            self.ending[c as usize].filter(|&other| other != id && self.is_open(other) && self.edges[other].to == c);
         let [left, right] = self.replace(id, [a, b, c], level);
         match third {
             Third::Other => {
-                if let Some(met) = met {
-                    self.split(met, left, right);
+                if let Some(incoming) = incoming {
+                    self.split(incoming, left, right);
                 }
             }
             Third::Right => self.close(right, next, c, left),
@@ -150,16 +153,16 @@ impl Boundary {
         [left, right]
     }
 
-    /// The loop meets itself, or another one, at the end of `met`.
-    fn split(&mut self, met: EdgeId, left: EdgeId, right: EdgeId) {
-        let after = self.edges[met].next;
+    /// Relinks the edges where the loop touches itself or another loop, at the vertex at which `incoming` ends.
+    fn split(&mut self, incoming: EdgeId, left: EdgeId, right: EdgeId) {
+        let after = self.edges[incoming].next;
         self.edges[left].next = after;
         self.edges[after].previous = left;
-        self.edges[met].next = right;
-        self.edges[right].previous = met;
+        self.edges[incoming].next = right;
+        self.edges[right].previous = incoming;
     }
 
-    /// Removes two consecutive edges that lead there and back. `ending` ends at `c` from now on.
+    /// Removes two consecutive edges that connect the same two vertices in both directions. Records `ending` as the edge that ends at `c`.
     fn close(&mut self, first: EdgeId, second: EdgeId, c: u32, ending: EdgeId) {
         let (before, after) = (self.edges[first].previous, self.edges[second].next);
         (self.edges[first].is_open, self.edges[second].is_open) = (false, false);

@@ -1,17 +1,17 @@
-//! The part of a mesh that was coded so far, and predictions of the next vertex from it.
+//! The part of a mesh that was coded so far, and the prediction of the next vertex from it.
 //!
-//! Computes with IEEE doubles, and only with sums, products, quotients and square roots, so that encoder and decoder get the same bits.
+//! The predictions use IEEE doubles, and only sums, products, quotients and square roots, so that encoder and decoder get the same bits.
 
 use super::super::chunk::WireVertex;
 use super::super::range_coder::length;
 
 /// Number of contexts of positions, which depend on the size of the triangle in front of the vertex.
-pub(super) const SIZES: usize = 12;
+pub(super) const SIZE_CONTEXTS: usize = 12;
 /// Number of contexts of a feature, which depend on the difference between both ends of the edge.
-pub(super) const DIFFERENCES: usize = 10;
-/// Maximum triangles around a vertex that are counted.
+pub(super) const DIFFERENCE_CONTEXTS: usize = 10;
+/// Maximum number of triangles that is counted at a vertex.
 const MAX_TRIANGLES: u8 = 7;
-/// Bound of the positions that a plane may predict.
+/// Maximum magnitude of a coordinate that is predicted from a plane, in lattice units.
 const MAX_PREDICTED: f64 = 65536.0;
 
 /// Converts a feature to the step that is coded. Features are multiples of 256, or 65535.
@@ -19,8 +19,8 @@ pub(super) fn feature_step(value: u16) -> i32 {
     i32::from(value >> 8) + i32::from(value == u16::MAX)
 }
 
-/// Converts a coded step to a feature; `None` if there is none.
-pub(super) fn feature_of(step: i32) -> Option<u16> {
+/// Converts a coded step to a feature; `None` if the step is out of range.
+pub(super) fn feature_from_step(step: i32) -> Option<u16> {
     match step {
         0..256 => Some((step as u16) << 8),
         256 => Some(u16::MAX),
@@ -28,11 +28,13 @@ pub(super) fn feature_of(step: i32) -> Option<u16> {
     }
 }
 
+/// The vertices and triangles that were coded so far.
 #[derive(Default)]
 pub(super) struct Mesh {
     pub vertices: Vec<WireVertex>,
     /// Triangles in the order in which they were coded.
     pub triangles: Vec<[u32; 3]>,
+    /// Level of each triangle.
     pub levels: Vec<u8>,
     /// For each vertex, the sum of the cross products of its triangles.
     normals: Vec<[f64; 3]>,
@@ -68,8 +70,8 @@ impl Mesh {
         self.levels.push(level);
     }
 
-    /// Returns the context of the third vertex behind an edge.
-    pub fn around(&self, from: u32, to: u32) -> usize {
+    /// Returns the context of the third vertex behind an edge, from the numbers of triangles at the edge's ends.
+    pub fn edge_context(&self, from: u32, to: u32) -> usize {
         usize::from(self.counts[from as usize]) + 8 * usize::from(self.counts[to as usize])
     }
 
@@ -78,26 +80,29 @@ impl Mesh {
         unit(self.normals[vertex as usize])
     }
 
-    /// Predicts the normal of a vertex from its triangles, in coded form. `weights` represent the spacing of the grid.
+    /// Predicts the normal of a vertex from its triangles, as octahedral coordinates. `weights`: factors of the normal's components, which
+    /// stand for the spacing of the grid.
     pub fn predicted_normal(&self, vertex: usize, weights: [u16; 3]) -> [i32; 2] {
         let sum = self.normals[vertex];
         octahedral([0, 1, 2].map(|axis| sum[axis] * f64::from(weights[axis])))
     }
 
-    /// Returns the weights that bring predicted normals close to those of the vertices.
+    /// Returns the weights with which the predicted normals are close to those of `vertices`.
     pub fn normal_weights(&self, vertices: &[WireVertex]) -> [u16; 3] {
         let given: Vec<[f64; 3]> = vertices.iter().map(|vertex| from_octahedral(vertex.normal)).collect();
         let sum_of = |normals: &mut dyn Iterator<Item = [f64; 3]>| {
-            normals.fold([0.0; 3], |sum, n| [0, 1, 2].map(|axis| sum[axis] + n[axis].abs()))
+            normals.fold([0.0; 3], |sum, normal| {
+                [0, 1, 2].map(|axis| sum[axis] + normal[axis].abs())
+            })
         };
-        let wanted = sum_of(&mut given.iter().copied());
+        let target = sum_of(&mut given.iter().copied());
         let mut weights = [1.0; 3];
         for _ in 0..4 {
             let mut normals = (self.normals.iter()).map(|n| unit([0, 1, 2].map(|axis| n[axis] * weights[axis])));
-            let found = sum_of(&mut normals);
+            let current = sum_of(&mut normals);
             for axis in 0..3 {
-                if found[axis] > 0.0 {
-                    weights[axis] *= wanted[axis] / found[axis];
+                if current[axis] > 0.0 {
+                    weights[axis] *= target[axis] / current[axis];
                 }
             }
         }
@@ -106,23 +111,24 @@ impl Mesh {
     }
 }
 
-/// Predictions of the position of the third vertex behind an edge, from the triangle in front of it.
-pub(super) struct Ahead {
+/// Predicts the position of the third vertex behind an edge, from the triangle in front of the edge.
+pub(super) struct VertexPrediction {
+    /// The position by the parallelogram rule.
     pub parallelogram: [i32; 3],
-    /// Context of positions.
+    /// Context of positions, from the size of the triangle in front of the edge.
     pub size: usize,
-    /// The axis that the normals at both ends of the edge are closest to.
+    /// The axis that is closest to the normals at both ends of the edge.
     pub depth: usize,
     normal: [f64; 3],
     ends: [[i32; 3]; 2],
 }
 
-impl Ahead {
+impl VertexPrediction {
     pub fn new(mesh: &Mesh, from: u32, to: u32, opposite: u32) -> Self {
         let [a, b, o] = [from, to, opposite].map(|vertex| mesh.position(vertex));
         let edge = [0, 1, 2].map(|axis| (a[axis] - b[axis]).abs());
         let height = [0, 1, 2].map(|axis| (a[axis] + b[axis] - 2 * o[axis]).abs());
-        let largest = |of: [i32; 3]| of.into_iter().max().unwrap_or_default();
+        let largest = |lengths: [i32; 3]| lengths.into_iter().max().unwrap_or_default();
         let [n, m] = [from, to].map(|vertex| mesh.unit_normal(vertex));
         let normal = [0, 1, 2].map(|axis| n[axis] + m[axis]);
         let mut depth = 0;
@@ -133,15 +139,15 @@ impl Ahead {
         }
         Self {
             parallelogram: [0, 1, 2].map(|axis| (7 * (a[axis] + b[axis]) - 6 * o[axis] + 4) >> 3),
-            size: length(largest(edge) + largest(height) / 2).min(SIZES - 1),
+            size: length(largest(edge) + largest(height) / 2).min(SIZE_CONTEXTS - 1),
             depth,
             normal,
             ends: [a, b],
         }
     }
 
-    /// Returns the coordinate along `depth` at which the vertex is in the plane of the edge and its normals. The other two coordinates are
-    /// given.
+    /// Returns the coordinate along `depth` at which the vertex is in the plane of the edge and its normals, given the other two
+    /// coordinates in `position`.
     pub fn in_plane(&self, position: [i32; 3]) -> i32 {
         let (n, depth) = (self.normal, self.depth);
         let (x, y) = ((depth + 1) % 3, (depth + 2) % 3);
@@ -168,11 +174,12 @@ fn unit(n: [f64; 3]) -> [f64; 3] {
     if length > 0.0 { n.map(|v| v / length) } else { [0.0; 3] }
 }
 
-fn with_sign(value: f64, of: f64) -> f64 {
-    if of < 0.0 { -value } else { value }
+/// Returns `value` with the sign of another number.
+fn with_sign(value: f64, sign_of: f64) -> f64 {
+    if sign_of < 0.0 { -value } else { value }
 }
 
-/// Returns rounded octahedral coordinates, over 127.
+/// Converts a normal to octahedral coordinates, rounded to multiples of 1/127.
 fn octahedral(n: [f64; 3]) -> [i32; 2] {
     let sum = n[0].abs() + n[1].abs() + n[2].abs();
     if sum == 0.0 {
@@ -187,6 +194,7 @@ fn octahedral(n: [f64; 3]) -> [i32; 2] {
     [x, y].map(|v| (v * 127.0 + 0.5).floor() as i32)
 }
 
+/// Converts octahedral coordinates to a unit normal.
 fn from_octahedral(normal: [i8; 2]) -> [f64; 3] {
     let [x, y] = normal.map(|v| f64::from(v) / 127.0);
     let z = 1.0 - x.abs() - y.abs();

@@ -3,16 +3,16 @@
 
 use rayon::prelude::*;
 
-/// Samples that a task moves.
-const PIECE: usize = 1 << 16;
+/// Number of samples that a task copies.
+const TASK_SAMPLES: usize = 1 << 16;
 
-/// Returns the Euclidean distance of each sample to the nearest one inside, that is with a value that is neither 0 nor NaN. `None` if no
-/// sample is inside. `positions`: of the samples along x, y, z, ascending.
+/// Returns the Euclidean distance of each sample to the nearest sample inside. A sample is inside if its value is neither 0 nor NaN. `None`
+/// if no sample is inside. `positions`: positions of the samples along x, y, z, ascending.
 pub(crate) fn distances(positions: &[Vec<f64>; 3], mut values: Vec<f32>) -> Option<Vec<f32>> {
     if values.iter().all(|&value| !is_inside(value)) {
         return None;
     }
-    // In units of the smallest cell, so that squares stay in the range of a float.
+    // Computes in units of the smallest cell, so that squares stay in the range of a float.
     let lengths = positions
         .iter()
         .flat_map(|along| along.windows(2).map(|pair| pair[1] - pair[0]));
@@ -23,19 +23,22 @@ pub(crate) fn distances(positions: &[Vec<f64>; 3], mut values: Vec<f32>) -> Opti
     let mut lines = vec![0.0; values.len()];
     let mut stride = 1;
     for along in positions {
-        let along: Vec<f64> = along.iter().map(|at| at / unit).collect();
+        let along: Vec<f64> = along.iter().map(|position| position / unit).collect();
         let length = along.len();
         lines.par_chunks_mut(length).enumerate().for_each(|(line, lowest)| {
             let start = line / stride * stride * length + line % stride;
             let squares = (0..length).map(|i| f64::from(values[start + i * stride]));
             envelope(&squares.collect::<Vec<_>>(), &along, lowest);
         });
-        values.par_chunks_mut(PIECE).enumerate().for_each(|(piece, values)| {
-            for (i, value) in (piece * PIECE..).zip(values) {
-                let line = i / (stride * length) * stride + i % stride;
-                *value = lines[line * length + i / stride % length];
-            }
-        });
+        values
+            .par_chunks_mut(TASK_SAMPLES)
+            .enumerate()
+            .for_each(|(task, values)| {
+                for (i, value) in (task * TASK_SAMPLES..).zip(values) {
+                    let line = i / (stride * length) * stride + i % stride;
+                    *value = lines[line * length + i / stride % length];
+                }
+            });
         stride *= length;
     }
     values
@@ -48,9 +51,9 @@ fn is_inside(value: f32) -> bool {
     value != 0.0 && !value.is_nan()
 }
 
-/// Computes for each position of a line the minimum of `squares` plus the squared distance along the line.
+/// Computes for each position of a line the minimum of `squares` plus the squared distance along the line, and stores it in `lowest`.
 fn envelope(squares: &[f64], positions: &[f64], lowest: &mut [f32]) {
-    // Parabolas of the envelope: the index of their sample, and the position from which on each is the lowest one.
+    // Parabolas of the envelope: for each the index of its sample, and the position from which on it is the lowest.
     let mut parabolas: Vec<(usize, f64)> = Vec::new();
     for (i, &square) in squares.iter().enumerate() {
         if square == f64::INFINITY {
@@ -60,8 +63,8 @@ fn envelope(squares: &[f64], positions: &[f64], lowest: &mut [f32]) {
             let Some(&(before, from)) = parabolas.last() else {
                 break f64::NEG_INFINITY;
             };
-            let way = positions[i] - positions[before];
-            let crossing = 0.5 * (positions[i] + positions[before]) + 0.5 * (square - squares[before]) / way;
+            let distance = positions[i] - positions[before];
+            let crossing = 0.5 * (positions[i] + positions[before]) + 0.5 * (square - squares[before]) / distance;
             if crossing > from {
                 break crossing;
             }
@@ -69,13 +72,13 @@ fn envelope(squares: &[f64], positions: &[f64], lowest: &mut [f32]) {
         };
         parabolas.push((i, from));
     }
-    let mut at = 0;
+    let mut current = 0;
     for (lowest, &position) in lowest.iter_mut().zip(positions) {
-        while parabolas.get(at + 1).is_some_and(|&(_, from)| from < position) {
-            at += 1;
+        while parabolas.get(current + 1).is_some_and(|&(_, from)| from < position) {
+            current += 1;
         }
         let value = parabolas
-            .get(at)
+            .get(current)
             .map(|&(i, _)| squares[i] + (position - positions[i]).powi(2));
         *lowest = value.unwrap_or(f64::INFINITY) as f32;
     }

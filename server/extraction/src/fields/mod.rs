@@ -1,8 +1,8 @@
 //! Fields that are computed from other fields: an expression over them, the distance to the samples for which an expression holds, or a
 //! smoothed expression.
 //!
-//! The module `computed` computes expressions and distances on the device. This module computes on the host: smoothed fields, padded or
-//! masked fields, and others whose samples are needed there.
+//! The module `computed` computes expressions and distances on the device. This module computes fields on the host: smoothed fields, padded
+//! or masked fields, and other fields whose samples the host needs.
 
 mod distances;
 mod smoothing;
@@ -68,7 +68,7 @@ pub fn computed_field(dataset: &Dataset, text: &str) -> Option<Field> {
         expression: parsed.expression,
         text: text.to_owned(),
         fields,
-        // Without padding: distances are computed at the samples of the dataset.
+        // Without padding, because distances are computed at the samples of the dataset.
         positions: parsed.is_distance.then(|| Box::new(dataset.positions(false))),
         smoothing: parsed.smoothing,
         dims: dataset.geometry.dims,
@@ -86,8 +86,8 @@ pub fn computed_field(dataset: &Dataset, text: &str) -> Option<Field> {
 }
 
 impl ComputedSource {
-    /// Returns the expression for samples that were read. Reading may have replaced labels by their ranks; the expression is parsed again,
-    /// so that its constants become ranks as well.
+    /// Returns the expression for samples that were read. Reading may have replaced labels by their ranks. So the expression is parsed
+    /// again, with ranks in place of label constants.
     fn ranked_expression(&self) -> Expression {
         let by_name = |name: &str| self.fields.iter().find(|field| field.name == name);
         let rank = |name: &str, number: i128| Some(by_name(name)?.source.ranks()?.position(number));
@@ -136,7 +136,7 @@ impl Source for ComputedSource {
         Ok(Samples::F32(match (&self.positions, self.smoothing) {
             (None, None) => values,
             (None, Some(sigma)) => smoothed(self.dims, values, sigma),
-            // Without a sample inside, there is no distance: all samples are missing.
+            // If no sample is inside, there are no distances, so all samples are missing.
             (Some(positions), _) => distances(positions, values).unwrap_or_else(|| vec![f32::NAN; count]),
         }))
     }

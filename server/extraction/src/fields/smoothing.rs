@@ -1,4 +1,5 @@
-//! Smooths a condition on the host: computes the share of the samples around each one that fulfil it, weighted by a Gaussian.
+//! Smooths a condition on the host: computes for each sample the share of the samples around it that meet the condition, weighted by a
+//! Gaussian.
 
 use rayon::prelude::*;
 
@@ -14,7 +15,7 @@ pub(crate) fn smoothed(dims: [u32; 3], mut values: Vec<f32>, sigma: f32) -> Vec<
     }
     let weights = weights(sigma);
     let mut sums = vec![0.0; values.len()];
-    // Along z adds planes of the volume, along y rows of each plane.
+    // Adds planes of the volume along z, then rows of each plane along y.
     for (outer, inner) in [(values.len(), nx * ny), (nx * ny, nx)] {
         sums.par_chunks_mut(inner).enumerate().for_each(|(chunk, sums)| {
             let begin = chunk * inner;

@@ -39,18 +39,18 @@ pub struct Compute {
     pub user: Option<Arc<str>>,
 }
 
-/// Begins the upload of a field. The reply says whether there is space for it: always, unless it is read ahead. See
+/// Begins the upload of a field. The reply says whether there is space for it, which only a field that is read ahead can lack. See
 /// [`Workspace::begin_upload`] and [`Workspace::begin_upload_ahead`].
 pub struct BeginUpload {
     /// The field.
     pub key: VolumeKey,
-    /// Its grid.
+    /// Grid of the field.
     pub grid: Arc<RectilinearGrid>,
-    /// Type of its samples.
+    /// Type of the field's samples.
     pub sample_type: SampleType,
     /// Value of missing samples.
     pub missing: Option<f32>,
-    /// `Some`: the field is read ahead, within these bytes of all fields that were read ahead and are not used yet.
+    /// If the field is read ahead: maximum bytes of all fields that were read ahead and are not used yet.
     pub ahead_budget: Option<u64>,
 }
 
@@ -73,7 +73,7 @@ pub struct ContinueTable {
 pub struct FinishUpload {
     /// The field.
     pub key: VolumeKey,
-    /// Whether it was read ahead.
+    /// Whether the field was read ahead.
     pub is_ahead: bool,
 }
 
@@ -94,9 +94,9 @@ pub struct MakeSpaceAhead {
     pub budget: u64,
 }
 
-/// Makes sure that the host has this much memory. See [`Workspace::make_host_space`].
+/// Makes sure that the host has this much free memory. See [`Workspace::make_host_space`].
 pub struct MakeHostSpace {
-    /// Bytes.
+    /// Bytes that are needed.
     pub bytes: u64,
 }
 
@@ -107,25 +107,25 @@ pub struct Release {
 }
 
 impl FindResident {
-    pub(super) fn work(self, workspace: &mut Workspace, _: Context<'_, '_>) -> Result<Vec<bool>, JobError> {
+    pub(super) fn perform(self, workspace: &mut Workspace, _: Context<'_, '_>) -> Result<Vec<bool>, JobError> {
         Ok(self.keys.iter().map(|key| workspace.is_resident(key)).collect())
     }
 }
 
 impl UseField {
-    pub(super) fn work(self, workspace: &mut Workspace, _: Context<'_, '_>) -> Result<(), JobError> {
+    pub(super) fn perform(self, workspace: &mut Workspace, _: Context<'_, '_>) -> Result<(), JobError> {
         workspace.use_field(&self.volume, &self.key)
     }
 }
 
 impl Compute {
-    pub(super) fn work(self, workspace: &mut Workspace, context: Context<'_, '_>) -> Result<bool, JobError> {
+    pub(super) fn perform(self, workspace: &mut Workspace, context: Context<'_, '_>) -> Result<bool, JobError> {
         workspace.compute(&self.volume, &self.key, self.user.as_deref(), context)
     }
 }
 
 impl BeginUpload {
-    pub(super) fn work(self, workspace: &mut Workspace, _: Context<'_, '_>) -> Result<bool, JobError> {
+    pub(super) fn perform(self, workspace: &mut Workspace, _: Context<'_, '_>) -> Result<bool, JobError> {
         let Self {
             key,
             grid,
@@ -141,32 +141,32 @@ impl BeginUpload {
 }
 
 impl ContinueUpload {
-    pub(super) fn work(self, workspace: &mut Workspace, _: Context<'_, '_>) -> Result<(), JobError> {
+    pub(super) fn perform(self, workspace: &mut Workspace, _: Context<'_, '_>) -> Result<(), JobError> {
         workspace.continue_upload(&self.key, &self.samples)
     }
 }
 
 impl ContinueTable {
-    pub(super) fn work(self, workspace: &mut Workspace, _: Context<'_, '_>) -> Result<bool, JobError> {
+    pub(super) fn perform(self, workspace: &mut Workspace, _: Context<'_, '_>) -> Result<bool, JobError> {
         workspace.continue_table(&self.key)
     }
 }
 
 impl FinishUpload {
-    pub(super) fn work(self, workspace: &mut Workspace, _: Context<'_, '_>) -> Result<(), JobError> {
+    pub(super) fn perform(self, workspace: &mut Workspace, _: Context<'_, '_>) -> Result<(), JobError> {
         workspace.finish_upload(self.key, self.is_ahead)
     }
 }
 
 impl DropUpload {
-    pub(super) fn work(self, workspace: &mut Workspace, _: Context<'_, '_>) -> Result<(), JobError> {
+    pub(super) fn perform(self, workspace: &mut Workspace, _: Context<'_, '_>) -> Result<(), JobError> {
         workspace.drop_upload(&self.key);
         Ok(())
     }
 }
 
 impl MakeSpaceAhead {
-    pub(super) fn work(self, workspace: &mut Workspace, _: Context<'_, '_>) -> Result<bool, JobError> {
+    pub(super) fn perform(self, workspace: &mut Workspace, _: Context<'_, '_>) -> Result<bool, JobError> {
         let grid = padded_grid(&self.volume, self.key.padded)?;
         let sample_bytes = self.key.sample_bytes(&self.volume)?;
         let bytes = workspace.engine().upload_bytes(grid.grid(), sample_bytes);
@@ -175,13 +175,13 @@ impl MakeSpaceAhead {
 }
 
 impl MakeHostSpace {
-    pub(super) fn work(self, workspace: &mut Workspace, _: Context<'_, '_>) -> Result<(), JobError> {
+    pub(super) fn perform(self, workspace: &mut Workspace, _: Context<'_, '_>) -> Result<(), JobError> {
         Ok(workspace.make_host_space(self.bytes)?)
     }
 }
 
 impl Release {
-    pub(super) fn work(self, workspace: &mut Workspace, _: Context<'_, '_>) -> Result<(), JobError> {
+    pub(super) fn perform(self, workspace: &mut Workspace, _: Context<'_, '_>) -> Result<(), JobError> {
         workspace.release(&self.step);
         Ok(())
     }

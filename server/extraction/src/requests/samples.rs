@@ -1,4 +1,4 @@
-//! Requests for what is read or computed from the samples of a field, and for the state of the device.
+//! Requests that read a field's samples or compute values from them, and a request for the state of the device.
 
 use std::ops::Range;
 
@@ -13,7 +13,7 @@ use crate::workspace::Workspace;
 
 type Context<'a, 'b> = &'a mut JobContext<'b, Workspace>;
 
-/// Marks the fields as used that a histogram is made of. See [`Workspace::use_histogram_fields`].
+/// Marks the fields of which a histogram is made as used. See [`Workspace::use_histogram_fields`].
 #[derive(Clone)]
 pub struct UseHistogramFields {
     /// The volume.
@@ -22,7 +22,7 @@ pub struct UseHistogramFields {
     pub key: HistogramKey,
 }
 
-/// Does the next part of a histogram. The reply has the work that remains, and the histogram if it is complete. See
+/// Runs the next slice of the work on a histogram. The reply is the remaining work, and the histogram if it is complete. See
 /// [`Workspace::continue_histogram`].
 #[derive(Clone)]
 pub struct ContinueHistogram {
@@ -34,7 +34,7 @@ pub struct ContinueHistogram {
     pub work: HistogramWork,
 }
 
-/// Does a part of an overview. See [`Workspace::overview_values`].
+/// Computes the values of a part of an overview. See [`Workspace::overview_values`].
 #[derive(Clone)]
 pub struct ContinueOverview {
     /// The volume.
@@ -73,13 +73,13 @@ pub struct ReadSlice {
 pub struct CheckAnswers;
 
 impl UseHistogramFields {
-    pub(super) fn work(self, workspace: &mut Workspace, _: Context<'_, '_>) -> Result<(), JobError> {
+    pub(super) fn perform(self, workspace: &mut Workspace, _: Context<'_, '_>) -> Result<(), JobError> {
         workspace.use_histogram_fields(&self.volume, &self.key)
     }
 }
 
 impl ContinueHistogram {
-    pub(super) fn work(
+    pub(super) fn perform(
         mut self,
         workspace: &mut Workspace,
         _: Context<'_, '_>,
@@ -90,25 +90,25 @@ impl ContinueHistogram {
 }
 
 impl ContinueOverview {
-    pub(super) fn work(self, workspace: &mut Workspace, _: Context<'_, '_>) -> Result<OverviewValues, JobError> {
+    pub(super) fn perform(self, workspace: &mut Workspace, _: Context<'_, '_>) -> Result<OverviewValues, JobError> {
         workspace.overview_values(&self.volume, &self.key, &self.part)
     }
 }
 
 impl ReadSamples {
-    pub(super) fn work(self, workspace: &mut Workspace, _: Context<'_, '_>) -> Result<Samples, JobError> {
+    pub(super) fn perform(self, workspace: &mut Workspace, _: Context<'_, '_>) -> Result<Samples, JobError> {
         workspace.samples(&self.volume, &self.key, self.planes)
     }
 }
 
 impl ReadSlice {
-    pub(super) fn work(self, workspace: &mut Workspace, _: Context<'_, '_>) -> Result<Slice, JobError> {
+    pub(super) fn perform(self, workspace: &mut Workspace, _: Context<'_, '_>) -> Result<Slice, JobError> {
         workspace.slice(&self.volume, &self.key, self.axis, self.index)
     }
 }
 
 impl CheckAnswers {
-    pub(super) fn work(self, workspace: &mut Workspace, _: Context<'_, '_>) -> Result<bool, JobError> {
+    pub(super) fn perform(self, workspace: &mut Workspace, _: Context<'_, '_>) -> Result<bool, JobError> {
         Ok(workspace.engine().answers())
     }
 }

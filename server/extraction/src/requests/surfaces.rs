@@ -11,7 +11,7 @@ use crate::workspace::Workspace;
 
 type Context<'a, 'b> = &'a mut JobContext<'b, Workspace>;
 
-/// Fills in what depends on the data: the default isovalue and the feature's own range. See [`Workspace::resolve`].
+/// Fills in the values that depend on the data: the default isovalue and the feature's own range. See [`Workspace::resolve`].
 #[derive(Clone)]
 pub struct Resolve {
     /// The volume.
@@ -20,7 +20,7 @@ pub struct Resolve {
     pub view: View,
 }
 
-/// Resolves a view, and marks the fields as used that its surface is made of. See [`Workspace::prepare`].
+/// Resolves a view, and marks the fields of which its surface is made as used. See [`Workspace::prepare`].
 #[derive(Clone)]
 pub struct Prepare {
     /// The volume.
@@ -87,40 +87,48 @@ pub struct Extract {
 pub struct Ask {
     /// The volume.
     pub volume: VolumeStep,
-    /// The surface; `None`: none is shown.
+    /// The surface; `None` if no surface is shown.
     pub shown: Option<ShownSurface>,
     /// The question.
     pub question: Question,
 }
 
 impl Resolve {
-    pub(super) fn work(mut self, workspace: &mut Workspace, _: Context<'_, '_>) -> Result<View, JobError> {
+    pub(super) fn perform(mut self, workspace: &mut Workspace, _: Context<'_, '_>) -> Result<View, JobError> {
         workspace.resolve(&self.volume, &mut self.view)?;
         Ok(self.view)
     }
 }
 
 impl Prepare {
-    pub(super) fn work(mut self, workspace: &mut Workspace, _: Context<'_, '_>) -> Result<View, JobError> {
+    pub(super) fn perform(mut self, workspace: &mut Workspace, _: Context<'_, '_>) -> Result<View, JobError> {
         workspace.prepare(&self.volume, &mut self.view)?;
         Ok(self.view)
     }
 }
 
 impl Count {
-    pub(super) fn work(mut self, workspace: &mut Workspace, context: Context<'_, '_>) -> Result<FullCount, JobError> {
+    pub(super) fn perform(
+        mut self,
+        workspace: &mut Workspace,
+        context: Context<'_, '_>,
+    ) -> Result<FullCount, JobError> {
         workspace.count(&self.volume, &mut self.view, context)
     }
 }
 
 impl Refine {
-    pub(super) fn work(mut self, workspace: &mut Workspace, context: Context<'_, '_>) -> Result<Refinement, JobError> {
+    pub(super) fn perform(
+        mut self,
+        workspace: &mut Workspace,
+        context: Context<'_, '_>,
+    ) -> Result<Refinement, JobError> {
         workspace.refine(&self.volume, &mut self.view, self.step, self.ceiling, context)
     }
 }
 
 impl Improve {
-    pub(super) fn work(
+    pub(super) fn perform(
         mut self,
         workspace: &mut Workspace,
         context: Context<'_, '_>,
@@ -130,7 +138,7 @@ impl Improve {
 }
 
 impl Measure {
-    pub(super) fn work(
+    pub(super) fn perform(
         mut self,
         workspace: &mut Workspace,
         context: Context<'_, '_>,
@@ -140,13 +148,13 @@ impl Measure {
 }
 
 impl Extract {
-    pub(super) fn work(self, workspace: &mut Workspace, context: Context<'_, '_>) -> Result<Extraction, JobError> {
+    pub(super) fn perform(self, workspace: &mut Workspace, context: Context<'_, '_>) -> Result<Extraction, JobError> {
         workspace.extract(&self.volume, &self.view, self.making, context)
     }
 }
 
 impl Ask {
-    pub(super) fn work(self, workspace: &mut Workspace, context: Context<'_, '_>) -> Result<Answer, JobError> {
+    pub(super) fn perform(self, workspace: &mut Workspace, context: Context<'_, '_>) -> Result<Answer, JobError> {
         workspace.answer(&self.volume, self.shown.as_ref(), self.question, context)
     }
 }

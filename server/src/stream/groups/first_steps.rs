@@ -1,7 +1,7 @@
 //! Orders the steps of a group's members: a follower's further steps wait until no member waits for the first step of a surface.
 //!
-//! With a thousand followers, a cached surface takes a tenth of a second of copies to sockets. Without an order the first followers
-//! would have all of it before the last have anything.
+//! Copying a cached surface to the sockets of a thousand followers takes a tenth of a second. Without this order the first followers would
+//! have the whole surface before the last ones have anything.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -15,7 +15,7 @@ use super::{Group, Member};
 /// Longest wait for the first steps of others: about the time that the first steps of the largest group take.
 pub(in crate::stream) const LONGEST_WAIT: Duration = Duration::from_millis(100);
 
-/// Members that wait for a first step.
+/// Number of members that wait for a first step.
 pub(super) struct FirstSteps(watch::Sender<usize>);
 
 impl Default for FirstSteps {
@@ -59,6 +59,7 @@ impl Member {
         FirstStep(Arc::clone(&self.group))
     }
 
+    /// Returns a wait for the first steps of all members.
     pub(in crate::stream) fn others_first(&self) -> OthersFirst {
         OthersFirst(self.group.first_steps.0.subscribe())
     }

@@ -10,34 +10,37 @@ use tokio_util::sync::CancellationToken;
 use super::{Group, GroupError, Groups, LEADER, Member};
 use crate::access::{Occupant, Seat, Share};
 
-/// How long a group waits for a leader whose connection was lost. A page retries every eight seconds or sooner.
+/// How long a group waits for a leader whose connection was lost. A page reconnects at least every eight seconds, so it has several tries.
 pub(super) const LEADER_TIMEOUT: Duration = Duration::from_secs(30);
 
 /// The leader of a group, independent of the connection.
 #[derive(Clone, Debug)]
 pub(in crate::stream) struct Leader {
     pub who: Occupant,
-    /// Random; known to the leader alone. A connection of the same user that has the key may resume the lead.
+    /// Random secret that only the leader knows. A connection of the same user that has the key may resume the lead.
     pub key: String,
 }
 
 impl Groups {
-    /// Takes a seat for a group of this leader. If none is free, ends one of the groups that share the limit: the one whose leader has been
-    /// away longest.
+    /// Takes a seat for a group of this leader. If no seat is free, ends one of the groups that share the exceeded limit, if the leader of
+    /// one is away: the group whose leader has been away longest.
+    ///
+    /// # Errors
+    /// [`GroupError::TooMany`] if no seat becomes free.
     pub(super) fn seat_for(&self, leader: &Leader) -> Result<Seat, GroupError> {
-        let full = match self.seats.take(leader.who.clone()) {
+        let no_seat = match self.seats.take(leader.who.clone()) {
             Ok(seat) => return Ok(seat),
-            Err(full) => full,
+            Err(no_seat) => no_seat,
         };
-        let all: Vec<Arc<Group>> = self.lock().values().filter_map(|entry| entry.group.upgrade()).collect();
-        let shares = |other: &Occupant| match full.share {
+        let groups: Vec<Arc<Group>> = self.lock().values().filter_map(|entry| entry.group.upgrade()).collect();
+        let shares_limit = |other: &Occupant| match no_seat.share {
             Share::User => other.user == leader.who.user,
             Share::Address => other.address == leader.who.address,
             Share::All => true,
         };
-        let away = all
+        let away = groups
             .iter()
-            .filter(|group| shares(&group.leader.who))
+            .filter(|group| shares_limit(&group.leader.who))
             .filter_map(|group| Some((group.members.borrow().away_since?, group)));
         if let Some((_, group)) = away.min_by_key(|(since, _)| *since) {
             self.end(group);
@@ -46,11 +49,14 @@ impl Groups {
     }
 
     /// Resumes the lead of a group on a new connection.
+    ///
+    /// # Errors
+    /// [`GroupError::Unknown`] if the group has ended, or `leader` is not its leader.
     pub(in crate::stream) fn resume(&self, id: &str, leader: &Leader) -> Result<Member, GroupError> {
         let group = self.group(id);
         let is_leader = |group: &Arc<Group>| {
-            let is_key: bool = group.leader.key.as_bytes().ct_eq(leader.key.as_bytes()).into();
-            is_key && group.leader.who.user == leader.who.user && !group.ended.is_cancelled()
+            let has_key: bool = group.leader.key.as_bytes().ct_eq(leader.key.as_bytes()).into();
+            has_key && group.leader.who.user == leader.who.user && !group.ended.is_cancelled()
         };
         let group = group.filter(is_leader).ok_or(GroupError::Unknown)?;
         let connection = CancellationToken::new();
@@ -67,7 +73,7 @@ impl Groups {
 }
 
 impl Member {
-    /// Ends the group, or lets it wait for the leader if the connection was lost.
+    /// Ends the group if the leader has left. If the leader's connection was lost, the group waits for the leader.
     pub(super) fn drop_leader(&self) {
         let (group, groups, connection) = (&self.group, &self.groups, &self.connection);
         let newest = group.lock_connection();

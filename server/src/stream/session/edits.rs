@@ -31,7 +31,7 @@ impl<B: Backend> Session<B> {
                 let message = "cap: true, the stream has no caps yet, expected false; exports have them";
                 self.send_error("bad-edit", message, true);
             }
-            // Without the role `edit` an edit may change nothing: it requests the opening view.
+            // Without the role `edit` only an edit that changes nothing is allowed: it requests the opening view.
             Ok(view) if view != before && !self.who.may(Role::Edit) => self.refuse_edit(),
             Ok(view) => self.accept_edit(surface, view, edit),
             Err(error) => self.send_error("bad-edit", error.to_string(), true),
@@ -44,7 +44,8 @@ impl<B: Backend> Session<B> {
         self.send_error("forbidden", message, true);
     }
 
-    /// Marks a surface as changed. Its generation ends at once if a step of it was committed, else after its first commit.
+    /// Marks a surface as changed. The surface's generation ends at once if one of its steps was committed, else after its first
+    /// commit.
     pub(super) fn change(&mut self, surface: u8) {
         let opened = self.opened.as_mut();
         let Some(session) = opened.and_then(|opened| opened.surface_mut(surface)) else {
@@ -52,16 +53,16 @@ impl<B: Backend> Session<B> {
         };
         session.edit_pending = true;
         match session.generation_mut() {
-            Some(generation) if !generation.committed => generation.is_overtaken = true,
+            Some(generation) if !generation.has_committed => generation.is_overtaken = true,
             _ => self.end_generation(surface),
         }
     }
 
-    /// Gives each surface its part of the budget, once all surfaces that share it are counted. Remakes surfaces whose part has changed, and
-    /// `edited` in any case.
+    /// Gives each surface its part of the budget, once all surfaces that share the budget are counted. Remakes the surfaces whose parts
+    /// have changed, except `edited`, which is marked as changed before.
     pub(super) fn allot(&mut self, edited: Option<u8>) {
-        let lacking = self.opened.as_mut().map(OpenVolume::lacking);
-        lacking.into_iter().flatten().for_each(|number| self.change(number));
+        let uncounted = self.opened.as_mut().map(OpenVolume::uncounted_to_retry);
+        uncounted.into_iter().flatten().for_each(|number| self.change(number));
         let Some(allotments) = self.opened.as_ref().and_then(|opened| opened.allotments()) else {
             return;
         };
@@ -78,10 +79,11 @@ impl<B: Backend> Session<B> {
                 _ => self.change(number),
             }
         }
-        let outdated = self.opened.as_ref().map(OpenVolume::outdated);
-        outdated.into_iter().flatten().for_each(|number| self.change(number));
+        let failed = self.opened.as_ref().map(OpenVolume::failed_to_retry);
+        failed.into_iter().flatten().for_each(|number| self.change(number));
     }
 
+    /// Handles `cancel`: ends all work for the surfaces, which stay as the client holds them.
     pub(super) fn on_cancel(&mut self) {
         self.questions.clear();
         self.outbox.drop_annotations();
@@ -91,7 +93,7 @@ impl<B: Backend> Session<B> {
                 continue;
             };
             if session.is_busy() {
-                // The surface was not made with its part of the budget. Clearing the part makes the next edit remake it.
+                // The surface was not made with its part of the budget. Clearing the part makes the next edit remake the surface.
                 session.allotted = None;
             }
             session.edit_pending = false;
@@ -105,20 +107,23 @@ impl<B: Backend> Session<B> {
         }
     }
 
-    /// Returns the number if the surface exists; otherwise sends the error `unknown-surface`, or `not-open` if no volume is open.
+    /// Returns the number of a surface if it exists; otherwise sends the error `unknown-surface`, or `not-open` if no volume is open.
     pub(super) fn find_surface(&mut self, surface: u32) -> Option<u8> {
         let Some(opened) = &self.opened else {
             self.send_error("not-open", "no volume is open, expected `open` first", true);
             return None;
         };
         let numbers: Vec<u8> = opened.surfaces().map(|(number, _)| number).collect();
-        let found = numbers.iter().copied().find(|&number| u32::from(number) == surface);
-        if found.is_none() {
-            let there: Vec<String> = numbers.iter().map(u8::to_string).collect();
-            let message = format!("surface: {surface} is not there, expected one of {}", there.join(", "));
+        let number = numbers.iter().copied().find(|&number| u32::from(number) == surface);
+        if number.is_none() {
+            let existing: Vec<String> = numbers.iter().map(u8::to_string).collect();
+            let message = format!(
+                "surface: {surface} is not there, expected one of {}",
+                existing.join(", ")
+            );
             self.send_error("unknown-surface", message, true);
         }
-        found
+        number
     }
 
     pub(super) fn on_remove(&mut self, surface: u32) {
@@ -138,6 +143,7 @@ impl<B: Backend> Session<B> {
         self.allot(None);
     }
 
+    /// Handles `drawn`: the client has drawn the first prefix of a generation.
     pub(super) fn on_drawn(&mut self, generation: u32) {
         self.acknowledges = true;
         let surface = self
@@ -149,7 +155,7 @@ impl<B: Backend> Session<B> {
         }
     }
 
-    /// Ends the work for a surface. If it has a generation, only `superseded` is still sent for it.
+    /// Ends the work for a surface. If the surface has a generation, only `superseded` is still sent for that generation.
     pub(super) fn end_generation(&mut self, surface: u8) {
         let opened = self.opened.as_mut();
         let Some(session) = opened.and_then(|opened| opened.surface_mut(surface)) else {
@@ -157,7 +163,7 @@ impl<B: Backend> Session<B> {
         };
         let Some(mut generation) = session.stop() else { return };
         if !matches!(generation.sending, Sending::Idle) {
-            // Drops the jobs on the pool: their results are not needed any more.
+            // Drops the jobs on the pool, because their results are not needed any more.
             self.pool = FuturesOrdered::new();
         }
         self.outbox.drop_surface(surface);

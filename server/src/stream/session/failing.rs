@@ -1,4 +1,4 @@
-//! Failed generations: the error that is sent, and whether the client may keep its surface.
+//! Handles failed generations: decides which error is sent, and whether the client may keep the surface.
 
 use isopeel_extraction::WorkError;
 use isopeel_view::View;
@@ -11,15 +11,16 @@ use crate::metrics;
 use crate::wire::messages::ServerMessage;
 
 impl<B: Backend> Session<B> {
+    /// Handles the error of a job of a generation. A view that is invalid is reverted; any other error fails the generation.
     pub(super) fn fail_job(&mut self, surface: u8, error: &WorkError) {
         tracing::debug!(error = chain(error), "a generation failed");
         if error.rejects_view() && !self.is_proven(surface) {
             self.send_surface_error(surface, error.code(), error.public_message());
-            return self.take_back(surface);
+            return self.revert_view(surface);
         }
         metrics::stream_error(error.code());
         let (suggested_triangles, message) = match error.suggested_triangles() {
-            Some(suggested) => self.explained(surface, suggested, error),
+            Some(suggested) => self.suggest_budget(surface, suggested, error),
             None => (None, error.public_message()),
         };
         let opened = self.opened.as_mut();
@@ -42,9 +43,9 @@ impl<B: Backend> Session<B> {
         session.is_some_and(|session| session.proven.as_ref() == Some(&session.view))
     }
 
-    /// Returns a budget that would be accepted, and the error's text. `suggested` is the budget of this surface; if surfaces share the
-    /// budget, the result is the budget of all of them.
-    fn explained(&self, surface: u8, suggested: u64, error: &WorkError) -> (Option<u64>, String) {
+    /// Returns a number of triangles that would be accepted as budget, and the error's text. `suggested` is a budget for this surface
+    /// alone. If surfaces share the budget, the result is a budget for all of them.
+    fn suggest_budget(&self, surface: u8, suggested: u64, error: &WorkError) -> (Option<u64>, String) {
         let (Some(opened), "over-budget") = (&self.opened, error.code()) else {
             return (Some(suggested), error.to_string());
         };
@@ -56,8 +57,8 @@ impl<B: Backend> Session<B> {
         (Some(whole), message)
     }
 
-    /// Reverts the view in force, which turned out to be invalid, to the previous one; also for followers.
-    fn take_back(&mut self, surface: u8) {
+    /// Reverts the view in force, which turned out to be invalid, to the last view of which a surface was made. Followers revert too.
+    fn revert_view(&mut self, surface: u8) {
         self.end_generation(surface);
         let Some(opened) = &mut self.opened else { return };
         let opening = opened.opening_view().clone();
@@ -65,7 +66,7 @@ impl<B: Backend> Session<B> {
             let budget = session.view.budget;
             (session.edit_pending, session.key) = (session.proven.is_some(), None);
             if session.proven.is_none() {
-                session.edited = 0;
+                session.last_edit = 0;
             }
             session.view = session.proven.clone().unwrap_or(View { budget, ..opening });
         }
@@ -73,13 +74,14 @@ impl<B: Backend> Session<B> {
         self.lead_or_follow();
     }
 
+    /// Sends an error, and ends the generation that has failed with it.
     pub(super) fn fail_generation(&mut self, surface: u8, code: &'static str, message: String) {
         self.send_surface_error(surface, code, message);
         self.end_failed(surface);
     }
 
-    /// Ends a failed generation. If the client may not keep its surface, removes that first. Finally allots the budget again, because other
-    /// surfaces may have waited for this one's count of triangles.
+    /// Ends a failed generation. If the client may not keep the surface, first removes it from the client. Finally allots the budget again,
+    /// because other surfaces may have waited for this surface's count of triangles.
     pub(super) fn end_failed(&mut self, surface: u8) {
         let Some(opened) = &mut self.opened else { return };
         let (volume, may_stay) = (opened.volume.clone(), opened.may_stay(surface));

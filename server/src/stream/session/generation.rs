@@ -32,7 +32,7 @@ use crate::wire::messages::ServerMessage;
 pub(super) struct Generation {
     /// Number of the generation's surface.
     pub surface: u8,
-    /// Unique in a connection, whatever the surface.
+    /// Number of the generation, unique among those of all surfaces of a connection.
     pub number: u32,
     /// The resolved view. Its budget is the surface's part of the connection's budget.
     pub view: View,
@@ -48,12 +48,12 @@ pub(super) struct Generation {
     /// Triangles of the surface that the last step has made; 0 before the first step.
     pub made_triangles: u64,
     /// Whether any step was committed.
-    pub committed: bool,
+    pub has_committed: bool,
     /// Whether a better surface may follow the final one.
     pub can_improve: bool,
     /// Whether a newer edit waits until a step of this generation is committed, so that the client sees some surfaces during a drag.
     pub is_overtaken: bool,
-    /// Device time so far.
+    /// Device time of the generation's jobs so far.
     pub wall: Duration,
     /// Time of each stage so far.
     pub stages: Vec<StageTime>,
@@ -67,7 +67,7 @@ pub(super) struct Generation {
     /// Guard that delays the further steps of other members of the group until this first step is ready to be sent. `None` if the viewer is
     /// in no group or its line is full.
     pub first_step: Option<FirstStep>,
-    /// When an edit began this generation; `None` for a surface that is improved at rest.
+    /// When an edit began this generation; `None` if it improves a surface at rest.
     begun: Option<Instant>,
     pub token: CancellationToken,
     /// Cancels `token` when the generation is dropped.
@@ -116,8 +116,8 @@ pub(super) struct StepBeingSent {
     pub can_improve: bool,
     /// Triangles of the whole surface once the step is committed.
     pub surface_triangles: u64,
-    /// What was made for this viewer; `None` if the job of another viewer made the step.
-    pub own: Option<OwnStep>,
+    /// Size and time of the step for the pace; `None` if the job of another viewer made the step.
+    pub own_step: Option<OwnStep>,
     /// When the comparison of the step began.
     pub began: Instant,
     /// Bytes of the step's chunks so far.
@@ -128,10 +128,10 @@ pub(super) struct StepBeingSent {
     pub statistics: Option<ExtractionStatistics>,
 }
 
-/// Triangles of a step, and the time for them: a measurement for the pace.
+/// Triangles of a step that was made for this viewer, and the time for them: a measurement for the pace.
 pub(super) struct OwnStep {
     pub triangles: u64,
-    /// Time of meshing, from when the cut of the step was known.
+    /// Time of meshing, counted from when the cut of the step was known.
     pub time: Duration,
 }
 
@@ -149,7 +149,7 @@ impl Generation {
             target: None,
             steps_made: 0,
             made_triangles: 0,
-            committed: false,
+            has_committed: false,
             can_improve: false,
             is_overtaken: false,
             wall: Duration::ZERO,
@@ -166,8 +166,8 @@ impl Generation {
 
     /// Whether this generation only improves a final surface at rest, and none of its frames was sent.
     pub(super) fn is_unsent_improvement(&mut self) -> bool {
-        let is_seen = |sent: &mut StepBeingSent| sent.handed_over.is_some();
-        self.begun.is_none() && !self.committed && !self.sent().is_some_and(is_seen)
+        let was_handed_over = |sent: &mut StepBeingSent| sent.handed_over.is_some();
+        self.begun.is_none() && !self.has_committed && !self.sent().is_some_and(was_handed_over)
     }
 
     /// Creates a generation that an edit has requested.
@@ -183,7 +183,7 @@ impl Generation {
     pub(super) fn record_commit(&mut self, is_final: bool) {
         self.first_step = None;
         let Some(begun) = self.begun else { return };
-        if !self.committed {
+        if !self.has_committed {
             metrics::edit_committed(begun.elapsed());
         }
         if is_final {
@@ -199,14 +199,16 @@ impl Generation {
 
     /// Records that the device has made a step.
     pub(super) fn record_step(&mut self, offered: Offered) {
-        let made = &offered.step.made;
-        self.add_times(made.wall, &made.surface.statistics.stages);
-        self.shown = self.surface_after(made.cut).shown_for(self.key.surface(), &self.view);
-        self.target = made.target;
+        let refinement = &offered.step.refinement;
+        self.add_times(refinement.wall, &refinement.surface.statistics.stages);
+        self.shown = self
+            .surface_after(refinement.cut)
+            .shown_for(self.key.surface(), &self.view);
+        self.target = refinement.target;
         self.steps_made += 1;
-        self.made_triangles = made.surface.statistics.triangles;
+        self.made_triangles = refinement.surface.statistics.triangles;
         // Keep the threshold that was fitted to the budget, so that the next steps need not search for it again.
-        self.view.fitted = made.view.fitted;
+        self.view.fitted = refinement.view.fitted;
         self.making = Making::Made(offered);
     }
 
@@ -219,7 +221,7 @@ impl Generation {
         }
     }
 
-    /// Changes the part of the budget. Does nothing if the view has no budget. Called only before the first step is begun.
+    /// Changes the surface's part of the budget. Does nothing if the view has no budget. Called only before the first step is begun.
     pub(super) fn set_budget(&mut self, budget: Option<Budget>) {
         if self.view.budget.is_some() && budget.is_some() && self.view.budget != budget {
             self.view.budget = budget;
@@ -243,7 +245,8 @@ impl Generation {
         self.steps_made == 0 && matches!(self.making, Making::Waiting)
     }
 
-    /// After a failure: makes an empty surface the next step, after which the client holds nothing. Waits if another step is being sent.
+    /// After a failure, queues an empty surface as the next step, which removes the surface from the client. If another step is being sent,
+    /// the generation waits.
     pub(super) fn queue_empty_step(&mut self, volume: &VolumeStep) {
         self.making = match self.sending {
             Sending::Idle => Making::Made(Offered::nothing(&self.view, volume)),
@@ -252,10 +255,10 @@ impl Generation {
     }
 
     /// Takes the step that waits to be sent.
-    pub(super) fn take_made(&mut self) -> Option<Offered> {
+    pub(super) fn take_made_step(&mut self) -> Option<Offered> {
         match std::mem::replace(&mut self.making, Making::Waiting) {
             Making::Made(offered) => {
-                if offered.step.made.is_final {
+                if offered.step.refinement.is_final {
                     self.making = Making::Finished;
                 }
                 Some(offered)
@@ -270,26 +273,26 @@ impl Generation {
     /// Returns the properties of a step that are needed while it is sent. `smallest_length`: the smallest edge of
     /// the volume's cells, in world units.
     pub(super) fn step_being_sent(&self, offered: &Offered, smallest_length: f64, device: &str) -> StepBeingSent {
-        let made = &offered.step.made;
-        let statistics = made.is_final.then(|| {
+        let refinement = &offered.step.refinement;
+        let statistics = refinement.is_final.then(|| {
             let kernels = SurfaceStatistics {
                 stages: self.stages.clone(),
-                ..made.surface.statistics.clone()
+                ..refinement.surface.statistics.clone()
             };
-            ExtractionStatistics::new(&kernels, &made.view, smallest_length, self.wall, device)
+            ExtractionStatistics::new(&kernels, &refinement.view, smallest_length, self.wall, device)
         });
         let triangles = offered.step.regions.iter().map(|region| region.triangles as u64);
-        let own = offered.is_own.then(|| OwnStep {
+        let own_step = offered.is_own.then(|| OwnStep {
             triangles: triangles.sum(),
-            time: made.meshing,
+            time: refinement.meshing,
         });
         StepBeingSent {
-            id: PrefixId::cut(self.surface, self.number, made.surface.prefix.get()),
-            cut: made.cut,
-            is_final: made.is_final,
-            can_improve: made.can_improve,
-            surface_triangles: made.surface.statistics.triangles,
-            own,
+            id: PrefixId::cut(self.surface, self.number, refinement.surface.prefix.get()),
+            cut: refinement.cut,
+            is_final: refinement.is_final,
+            can_improve: refinement.can_improve,
+            surface_triangles: refinement.surface.statistics.triangles,
+            own_step,
             began: Instant::now(),
             bytes: 0,
             handed_over: None,
@@ -298,7 +301,7 @@ impl Generation {
     }
 
     /// Records that the pool has compared the step that is being sent.
-    pub(super) fn compared(&mut self, changes: Changes) {
+    pub(super) fn record_comparison(&mut self, changes: Changes) {
         let Sending::Comparing(sent) = std::mem::replace(&mut self.sending, Sending::Idle) else {
             return;
         };

@@ -28,7 +28,7 @@ impl<B: Backend> Session<B> {
                 self.on_open(&volume, step);
             }
             ClientMessage::Step { step } => self.on_step(step),
-            ClientMessage::Edit(of) => self.on_edit(of.surface, &of.edit),
+            ClientMessage::Edit(message) => self.on_edit(message.surface, &message.edit),
             ClientMessage::Remove { .. } if !self.who.may(Role::Edit) => self.refuse_edit(),
             ClientMessage::Remove { surface } => self.on_remove(surface),
             _ => {}
@@ -47,11 +47,11 @@ impl<B: Backend> Session<B> {
                 resume: Some(resume),
                 codings,
             } => {
-                self.take_codings(&codings);
+                self.choose_coding(&codings);
                 self.on_resume(resume);
             }
             ClientMessage::Join { group, name, codings } => {
-                self.take_codings(&codings);
+                self.choose_coding(&codings);
                 self.on_join(&group, name);
             }
             ClientMessage::Leave {} => self.leave("you have left it"),
@@ -61,8 +61,8 @@ impl<B: Backend> Session<B> {
                 None => self.refuse(GroupError::NoMember),
             },
             ClientMessage::GiveControl { to } => {
-                let given = self.member.as_ref().ok_or(GroupError::NoMember);
-                if let Err(error) = given.and_then(|member| member.give_control(to)) {
+                let member = self.member.as_ref().ok_or(GroupError::NoMember);
+                if let Err(error) = member.and_then(|member| member.give_control(to)) {
                     self.refuse(error);
                 }
             }
@@ -70,8 +70,8 @@ impl<B: Backend> Session<B> {
         }
     }
 
-    /// Sets the coding from those that the client can read. If it lists none, the coding stays as it was.
-    fn take_codings(&mut self, codings: &[String]) {
+    /// Chooses the coding from those that the client can read. If the client lists none, the coding stays as it was.
+    fn choose_coding(&mut self, codings: &[String]) {
         if !codings.is_empty() {
             self.coding = Coding::asked_for(codings);
         }
@@ -90,7 +90,7 @@ impl<B: Backend> Session<B> {
             return self.send_error("busy", "the system has no random numbers", true);
         }
         // A viewer is in one group at a time, so it leaves the one before.
-        self.part();
+        self.leave_quietly();
         let leader = self.leader(HEXLOWER.encode(&key));
         match self.common.groups.lead(HEXLOWER.encode(&id), leader) {
             Ok(member) => {
@@ -101,6 +101,7 @@ impl<B: Backend> Session<B> {
         }
     }
 
+    /// Returns this viewer as the leader of a group.
     fn leader(&self, key: String) -> Leader {
         Leader {
             who: Occupant::from(&self.who),
@@ -110,7 +111,7 @@ impl<B: Backend> Session<B> {
 
     /// Resumes the lead of a group that the viewer has led on another connection.
     fn on_resume(&mut self, Resume { group, key }: Resume) {
-        self.part();
+        self.leave_quietly();
         match self.common.groups.resume(&group, &self.leader(key)) {
             Ok(member) => {
                 self.member = Some(member);
@@ -120,8 +121,8 @@ impl<B: Backend> Session<B> {
         }
     }
 
-    /// Leaves the viewer's group, if there is one.
-    fn part(&mut self) {
+    /// Leaves the viewer's group, if there is one, without a message to the client.
+    fn leave_quietly(&mut self) {
         if let Some(member) = self.member.take() {
             member.leave();
         }
@@ -131,11 +132,11 @@ impl<B: Backend> Session<B> {
         if let Some(Err(why)) = name.as_deref().map(check_name) {
             return self.send_error("bad-message", why, true);
         }
-        self.part();
+        self.leave_quietly();
         match self.common.groups.join(group, name, self.who.may(Role::Edit)) {
             Ok(member) => {
                 self.member = Some(member);
-                self.tell_members();
+                self.send_members();
                 self.lead_or_follow();
             }
             Err(error) => self.refuse(error),
@@ -169,7 +170,7 @@ impl<B: Backend> Session<B> {
     pub(super) fn on_group_event(&mut self, event: GroupEvent) {
         match event {
             GroupEvent::Scene => self.lead_or_follow(),
-            GroupEvent::Members => self.tell_members(),
+            GroupEvent::Members => self.send_members(),
             GroupEvent::Pose(pose) => {
                 let message = ServerMessage::Posed { pose: (*pose).clone() };
                 self.outbox.push_newest(Newest::Posed, message.to_json());
@@ -178,14 +179,14 @@ impl<B: Backend> Session<B> {
         }
     }
 
-    fn tell_members(&mut self) {
+    fn send_members(&mut self) {
         if let Some(member) = &self.member {
             self.outbox
                 .push_newest(Newest::Group, member.members_message().to_json());
         }
     }
 
-    /// Broadcasts this session's views if this member has control, and otherwise follows the member that has.
+    /// Broadcasts this session's views if this member has control; otherwise follows the member in control.
     pub(super) fn lead_or_follow(&mut self) {
         let Some(member) = &mut self.member else { return };
         if let Some(scene) = member.scene() {
@@ -195,7 +196,7 @@ impl<B: Backend> Session<B> {
         let Some(opened) = &self.opened else { return };
         // While the volume is being opened, its isovalue is not known.
         if member.has_control() && opened.phase == OpeningPhase::Open {
-            let surfaces = opened.surfaces().filter(|(_, surface)| surface.edited > 0);
+            let surfaces = opened.surfaces().filter(|(_, surface)| surface.last_edit > 0);
             let surfaces = surfaces
                 .map(|(number, surface)| (number, surface.view.clone()))
                 .collect();
@@ -203,26 +204,26 @@ impl<B: Backend> Session<B> {
         }
     }
 
-    /// Applies the views of the member in control, whatever this viewer's roles are, but only of volumes that it may see.
+    /// Applies the views of the member in control. The viewer needs no role for that, but must be allowed to see the volume.
     fn follow(&mut self, scene: &Scene) {
         let open = self.opened.as_ref();
-        let is_volume = open.is_some_and(|opened| opened.volume.dataset().key() == scene.volume.dataset().key());
+        let is_same_volume = open.is_some_and(|opened| opened.volume.dataset().key() == scene.volume.dataset().key());
         let is_open = open.is_some_and(|opened| opened.phase == OpeningPhase::Open);
-        let is_step = open.is_some_and(|opened| opened.volume.key() == scene.volume.key());
-        match (is_volume, is_step) {
+        let is_same_step = open.is_some_and(|opened| opened.volume.key() == scene.volume.key());
+        match (is_same_volume, is_same_step) {
             (true, true) => {}
             (true, false) if is_open => self.bring_step_into_force(PendingStep {
                 volume: scene.volume.clone(),
                 cancelled_after: None,
             }),
-            // A volume that could not be opened is not tried again.
+            // A volume that this viewer could not open is not tried again.
             _ if open.is_none() && self.tried.as_ref() == Some(&scene.volume.key()) => return,
             _ => {
                 self.tried = Some(scene.volume.key());
                 self.open_led(&scene.volume);
             }
         }
-        // Drop pending edits and time steps of this viewer from before it followed.
+        // Drop pending edits and time steps that this viewer requested before it followed.
         if let Some(opened) = &mut self.opened {
             opened.stepping = None;
             opened.surfaces_mut().for_each(|(_, surface)| surface.pending = None);
@@ -238,11 +239,12 @@ impl<B: Backend> Session<B> {
         self.follow_surfaces(scene);
     }
 
+    /// Makes this session's surfaces equal to those of a scene of the open volume.
     fn follow_surfaces(&mut self, scene: &Scene) {
         for (number, view) in &scene.surfaces {
             let Some(opened) = &self.opened else { return };
-            let is_made = opened.surface(*number).is_some_and(|surface| surface.edited > 0);
-            if !is_made || opened.view_of(*number) != *view {
+            let was_edited = opened.surface(*number).is_some_and(|surface| surface.last_edit > 0);
+            if !was_edited || opened.view_of(*number) != *view {
                 self.begin_edit();
                 let edit = self.edits;
                 let budget_edit = view.budget.map(|budget| BudgetEdit { budget, edit });
@@ -250,9 +252,9 @@ impl<B: Backend> Session<B> {
             }
         }
         let Some(opened) = &self.opened else { return };
-        let is_gone = |number: &u8| scene.surfaces.iter().all(|(there, _)| there != number);
-        let made = opened.surfaces().filter(|(_, surface)| surface.edited > 0);
-        let gone: Vec<u8> = made.map(|(number, _)| number).filter(is_gone).collect();
+        let is_gone = |number: &u8| scene.surfaces.iter().all(|(shown, _)| shown != number);
+        let edited = opened.surfaces().filter(|(_, surface)| surface.last_edit > 0);
+        let gone: Vec<u8> = edited.map(|(number, _)| number).filter(is_gone).collect();
         for number in gone {
             self.on_remove(u32::from(number));
         }

@@ -1,4 +1,5 @@
-//! Heartbeats in both directions, for clients that request them: both ends notice within seconds if the line is cut silently.
+//! Heartbeats in both directions, for clients that request them. With heartbeats both ends notice within seconds if the line is cut without
+//! an error.
 
 use std::time::Duration;
 
@@ -6,15 +7,18 @@ use tokio::time::Instant;
 
 /// Interval between two `heartbeat` messages.
 const BEAT: Duration = Duration::from_millis(1500);
-/// Bytes that may be sent before a beat. A slow line may need more than [`BEAT`] for them.
+/// Maximum bytes that may be sent before a beat. A slow line may take longer than [`BEAT`] to send these bytes.
 pub(super) const BEFORE_BEAT: u64 = 128 << 10;
-/// Heartbeats without an answer after which the line counts as dead.
-const MISSED: u32 = 3;
+/// Number of beats without an answer after which the line counts as dead.
+const MAX_MISSED: u32 = 3;
 
 /// The heartbeat of one connection.
 pub(super) struct Heartbeat {
+    /// When the next beat is due; `None` until the client requests heartbeats.
     next: Option<Instant>,
-    heard: Instant,
+    /// When the last frame of the client was read.
+    last_heard: Instant,
+    /// Whether the client has answered any ping.
     answers_pings: bool,
 }
 
@@ -22,7 +26,7 @@ impl Heartbeat {
     pub(super) fn new() -> Self {
         Self {
             next: None,
-            heard: Instant::now(),
+            last_heard: Instant::now(),
             answers_pings: false,
         }
     }
@@ -33,28 +37,28 @@ impl Heartbeat {
     }
 
     /// Records that a frame of the client was read.
-    pub(super) fn heard(&mut self, is_pong: bool) {
-        self.heard = Instant::now();
+    pub(super) fn record_frame(&mut self, is_pong: bool) {
+        self.last_heard = Instant::now();
         self.answers_pings |= is_pong;
     }
 
-    /// When the next beat is due.
+    /// Returns when the next beat is due.
     pub(super) fn due(&self) -> Option<Instant> {
         self.next
     }
 
-    /// Called when a beat is due; `line` is the time that the line needs for [`BEFORE_BEAT`]. Returns the longest time until the next beat,
-    /// or `None` if the client was silent for too long. A client that has never answered a ping may be silent, because a proxy may drop its
-    /// pings.
-    pub(super) fn beat(&mut self, is_listening: bool, line: Duration) -> Option<Duration> {
+    /// Handles a beat that is due. `is_listening`: whether the session reads the client's frames. `line_time`: the time that the line needs
+    /// for [`BEFORE_BEAT`]. Returns the maximum time until the client gets the next beat, or `None` if the client was silent for too long.
+    /// A client that has never answered a ping may be silent, because a proxy may drop the pings.
+    pub(super) fn beat(&mut self, is_listening: bool, line_time: Duration) -> Option<Duration> {
         self.next = Some(Instant::now() + BEAT);
-        let longest = BEAT.max(line);
+        let longest = BEAT.max(line_time);
         if !is_listening {
-            // The server itself does not read now, so the client's frames wait in the queue: count them as heard.
-            self.heard = Instant::now();
+            // The session does not read frames now, so frames of the client may wait in the queue. Count the client as heard.
+            self.last_heard = Instant::now();
         }
-        // The next check is one beat later.
-        let is_dead = self.answers_pings && self.heard.elapsed() + BEAT > MISSED * longest;
+        // The next check is one beat later, so a client that would be silent for too long by then counts as dead now.
+        let is_dead = self.answers_pings && self.last_heard.elapsed() + BEAT > MAX_MISSED * longest;
         (!is_dead).then_some(longest)
     }
 }
@@ -67,7 +71,7 @@ mod tests {
     async fn dead_after(line: Duration) -> f64 {
         let mut heartbeat = Heartbeat::new();
         heartbeat.begin();
-        heartbeat.heard(true);
+        heartbeat.record_frame(true);
         let last = Instant::now();
         loop {
             tokio::time::sleep_until(heartbeat.due().expect("it has begun")).await;
@@ -91,7 +95,7 @@ mod tests {
         heartbeat.begin();
         tokio::time::sleep(Duration::from_secs(60)).await;
         assert_eq!(heartbeat.beat(true, Duration::ZERO), Some(BEAT));
-        heartbeat.heard(true);
+        heartbeat.record_frame(true);
         tokio::time::sleep(Duration::from_secs(60)).await;
         assert_eq!(heartbeat.beat(false, Duration::ZERO), Some(BEAT));
     }

@@ -15,7 +15,7 @@ use tracing::Instrument;
 use super::super::backend::{Backend, Opening};
 use super::super::groups::Member;
 use super::super::prefix::{Changes, PrefixError, compare, encode, take_batch};
-use super::super::shared::{Offered, Outcome, Wanted};
+use super::super::shared::{Offered, Outcome, SurfaceRequest};
 use super::generation::{Generation, Making, OwnStep, Sending};
 use super::open_volume::OpeningPhase;
 use super::outbox::Frame;
@@ -28,28 +28,28 @@ use crate::error::chain;
 use crate::service::OpeningProgress;
 use crate::wire::messages::{Capabilities, RegionError, ServerMessage};
 
-/// Maximum triangles of a new surface's first step, summed over the followers of a group. They reach a thousand followers within 70 ms on
-/// two cores.
+/// Maximum triangles of a new surface's first step, summed over the followers of a group. On two cores, a thousand followers get that many
+/// triangles within 70 ms.
 const FOLLOWED_TRIANGLES: u64 = 2_000_000;
 
-/// Rate in bytes a second above which the coding for slow lines is not used: sending the bytes that it saves takes less time than that
-/// coding.
+/// Minimum rate of a fast line, in bytes a second. On a fast line the coding for slow lines is not used: encoding in it takes longer than
+/// sending the bytes that it saves.
 const MIN_FAST_LINE: u64 = 4_000_000;
-/// The rate above which the coding is not used for an intermediate step. It is lower, because coarse meshes are harder to predict, so the
-/// coding saves only a fifth of their bytes.
+/// As [`MIN_FAST_LINE`], for an intermediate step. This rate is lower, because coarse meshes are harder to predict: the coding for slow
+/// lines saves only a fifth of their bytes.
 const MIN_FAST_LINE_OF_COARSE: u64 = 1_250_000;
 
-/// Batches that are encoded at once: the next one uses the threads that are idle at the end of the one before.
+/// Maximum number of batches that are encoded at once: the second one uses the threads that are idle at the end of the first.
 const MAX_BATCHES: usize = 2;
 
-/// A finished device job; the numbers are those of the open or of the generation that it was queued for.
+/// A finished device job, with the number of the `open` or of the generation for which it was queued.
 pub(super) enum DeviceDone {
     Opened(u32, Result<Opening, WorkError>),
     Counted(u32, Outcome<FullCount>),
     Refined(u32, Outcome<Offered>),
     Improved(u32, Outcome<Option<Offered>>),
     Measured(u32, Outcome<Option<Arc<Measurement>>>),
-    /// Description of a time step, with the number of the open and the step.
+    /// Description of a time step, with the number of the `open` and the step.
     Described(u32, u32, Result<Box<RawValue>, WorkError>),
 }
 
@@ -122,7 +122,7 @@ impl<B: Backend> Session<B> {
                 if let Phase::Working(generation) = &mut session.phase {
                     generation.record_count(&count);
                     session.full = Some((generation.key.surface().clone(), count.triangles));
-                    session.prove();
+                    session.mark_proven();
                 }
                 self.allot(None);
             }
@@ -144,15 +144,15 @@ impl<B: Backend> Session<B> {
                 let Phase::Working(generation) = &mut session.phase else {
                     return;
                 };
-                let made = &offered.step.made;
-                if acknowledges && !made.is_final && !generation.committed {
+                let refinement = &offered.step.refinement;
+                if acknowledges && !refinement.is_final && !generation.has_committed {
                     generation.draw_pause.begin();
                 }
-                let statistics = &made.surface.statistics;
+                let statistics = &refinement.surface.statistics;
                 let removed = statistics.removed.map_or(0, |removed| removed.full_triangles);
                 session.full = Some((generation.key.surface().clone(), statistics.full_triangles + removed));
                 generation.record_step(offered);
-                session.prove();
+                session.mark_proven();
                 self.allot(None);
             }
             Err(error) => self.fail_job(surface, &error),
@@ -189,7 +189,7 @@ impl<B: Backend> Session<B> {
         }
     }
 
-    /// Sends a measurement to the client. A failed one is only logged, because no viewer depends on it.
+    /// Sends a measurement to the client. If measuring failed, only logs the error, because no viewer depends on a measurement.
     fn on_measured(&mut self, number: u32, result: Outcome<Option<Arc<Measurement>>>) {
         let Some((surface, session)) = self.opened.as_mut().and_then(|opened| opened.surface_at_rest(number)) else {
             return;
@@ -246,7 +246,7 @@ impl<B: Backend> Session<B> {
                     triangles: sent.surface_triangles,
                     is_final: sent.is_final,
                 };
-                generation.compared(changes);
+                generation.record_comparison(changes);
                 let frame = Outgoing::Text(message.to_json());
                 self.outbox.push_back(Frame::Prefix(surface, frame));
             }
@@ -279,7 +279,7 @@ impl<B: Backend> Session<B> {
                 held,
                 ..
             } if remaining.is_empty() => {
-                let own = sent.own.take();
+                let own_step = sent.own_step.take();
                 let encoding = sent.began.elapsed();
                 let committed = ServerMessage::Committed {
                     surface,
@@ -299,7 +299,7 @@ impl<B: Backend> Session<B> {
                 }
                 generation.record_commit(sent.is_final);
                 generation.sending = Sending::Committing(sent, held);
-                if let Some(OwnStep { triangles, time }) = own {
+                if let Some(OwnStep { triangles, time }) = own_step {
                     self.pace.record_made(triangles, time + encoding);
                 }
                 self.outbox.push_back(Frame::Commit(surface, committed.to_json()));
@@ -315,7 +315,7 @@ impl<B: Backend> Session<B> {
         while let Some(opened) = &self.opened
             && opened.sending().is_none()
             && !self.pace.is_line_full()
-            && let Some((surface, verdict)) = opened.next_made()
+            && let Some((surface, verdict)) = opened.next_made_step()
         {
             match verdict {
                 Verdict::GiveUp => self.end_generation(surface),
@@ -341,10 +341,10 @@ impl<B: Backend> Session<B> {
                     (sent.id, *coding),
                     generation.token.clone(),
                 );
-                let (step, kept) = (Arc::clone(step), self.common.shared.kept());
+                let (step, cache) = (Arc::clone(step), self.common.shared.chunk_cache());
                 *batches += 1;
                 self.pool.push_back(Box::pin(async move {
-                    PoolDone::Encoded(encode(step, batch, id, kept, token).await)
+                    PoolDone::Encoded(encode(step, batch, id, cache, token).await)
                 }));
             }
         }
@@ -364,16 +364,18 @@ impl<B: Backend> Session<B> {
         let Phase::Working(generation) = &mut session.phase else {
             return;
         };
-        let Some(made) = generation.take_made() else { return };
-        let coding = if made.step.made.is_final {
+        let Some(offered) = generation.take_made_step() else {
+            return;
+        };
+        let coding = if offered.step.refinement.is_final {
             final_coding
         } else {
             coarse_coding
         };
-        generation.sending = Sending::Comparing(generation.step_being_sent(&made, smallest, &device));
+        generation.sending = Sending::Comparing(generation.step_being_sent(&offered, smallest, &device));
         let (held, token) = (Arc::clone(&session.held), generation.token.clone());
         self.pool.push_back(Box::pin(async move {
-            PoolDone::Compared(compare(made.step, held, coding, token).await)
+            PoolDone::Compared(compare(offered.step, held, coding, token).await)
         }));
     }
 
@@ -387,7 +389,7 @@ impl<B: Backend> Session<B> {
             Some(OpeningPhase::Waiting) => return self.start_opening(),
             Some(OpeningPhase::Open) => {}
         }
-        // A generation that begins may change the parts of other surfaces, whose generations then begin as well.
+        // A generation that begins may change the other surfaces' parts of the budget, so that their generations begin as well.
         while self.begin_generations() {
             self.allot(None);
         }
@@ -401,7 +403,7 @@ impl<B: Backend> Session<B> {
         }
     }
 
-    /// Begins the generations of views that have come into force. Returns false if there are none.
+    /// Begins the generations of views that have come into force. Returns whether any has begun.
     fn begin_generations(&mut self) -> bool {
         let Some(opened) = &mut self.opened else { return false };
         let (engine, volume) = (self.backend.engine(), opened.volume.clone());
@@ -410,9 +412,9 @@ impl<B: Backend> Session<B> {
             if surface.edit_pending && surface.generation().is_none() {
                 self.last_generation += 1;
                 // If the line is full, this member's first step is not sent soon, so further steps of others need not wait for it.
-                let waiting = self.member.as_ref().filter(|_| !self.pace.is_line_full());
+                let group_member = self.member.as_ref().filter(|_| !self.pace.is_line_full());
                 let key = SurfaceKey::new(engine, &volume, &surface.view);
-                let first_step = waiting.map(Member::first_step);
+                let first_step = group_member.map(Member::first_step);
                 surface.begin(number, self.last_generation, key, self.jobs, first_step);
                 has_begun = true;
             }
@@ -426,7 +428,7 @@ impl<B: Backend> Session<B> {
         let (backend, volume) = (self.backend.clone(), opened.volume.clone());
         let session = opened.surface_mut(surface)?;
         let shared = self.common.shared.clone();
-        let wanted = |view, key| Wanted {
+        let request = |view, key| SurfaceRequest {
             backend,
             volume,
             view,
@@ -435,14 +437,14 @@ impl<B: Backend> Session<B> {
         if let (NextJob::Rest(work), Phase::Resting(rest)) = (job, &mut session.phase) {
             rest.begin();
             let (number, token) = (rest.generation, rest.token.clone());
-            let wanted = wanted(rest.view.clone(), rest.key.clone());
+            let request = request(rest.view.clone(), rest.key.clone());
             let span = self.id.trace(number).span();
             return Some(match work {
                 RestWork::Improve => Box::pin(
-                    async move { DeviceDone::Improved(number, shared.improve(wanted, &token).await) }.instrument(span),
+                    async move { DeviceDone::Improved(number, shared.improve(request, &token).await) }.instrument(span),
                 ),
                 RestWork::Measure => Box::pin(
-                    async move { DeviceDone::Measured(number, shared.measure(wanted, &token).await) }.instrument(span),
+                    async move { DeviceDone::Measured(number, shared.measure(request, &token).await) }.instrument(span),
                 ),
             });
         }
@@ -450,13 +452,13 @@ impl<B: Backend> Session<B> {
         generation.making = Making::OnDevice;
         generation.waiting_since_job = self.jobs;
         // Further steps of followers wait for the first steps of all members. The member in control does not wait.
-        let waits = |member: &&Member| job == NextJob::Further && !member.has_control();
-        let others_first = self.member.as_ref().filter(waits).map(Member::others_first);
+        let has_to_wait = |member: &&Member| job == NextJob::Further && !member.has_control();
+        let others_first = self.member.as_ref().filter(has_to_wait).map(Member::others_first);
         let (number, token) = (generation.number, generation.token.clone());
-        let wanted = wanted(generation.view.clone(), generation.key.clone());
+        let request = request(generation.view.clone(), generation.key.clone());
         let span = self.id.trace(number).span();
         if job == NextJob::Count {
-            let count = async move { DeviceDone::Counted(number, shared.count(wanted, &token).await) };
+            let count = async move { DeviceDone::Counted(number, shared.count(request, &token).await) };
             return Some(Box::pin(count.instrument(span)));
         }
         let step = Step {
@@ -472,7 +474,7 @@ impl<B: Backend> Session<B> {
             if let Some(others) = others_first {
                 token.run_until_cancelled(others.wait()).await;
             }
-            DeviceDone::Refined(number, shared.refine(wanted, step, &token).await)
+            DeviceDone::Refined(number, shared.refine(request, step, &token).await)
         };
         Some(Box::pin(refine.instrument(span)))
     }
@@ -486,8 +488,8 @@ impl<B: Backend> Session<B> {
     }
 
     /// Converts the bytes that the line takes for a step to bytes of chunks in the coding `meshopt`. On a line that uses the coding for
-    /// slow lines, the result is larger by half. This holds also for a coarse cut that is sent in `meshopt` because the line is not very
-    /// slow.
+    /// slow lines, the result is larger by half, because that coding takes about two thirds of the bytes. The result is larger also if a
+    /// coarse cut is sent in `meshopt` because the line is not very slow.
     fn meshopt_bytes(&self, bytes: u64) -> u64 {
         match self.line_coding(MIN_FAST_LINE) {
             Coding::Meshopt => bytes,
@@ -512,7 +514,7 @@ impl<B: Backend> Session<B> {
         let (backend, volume) = (self.backend.clone(), opened.volume.clone());
         let (open, token) = (self.opens, opened.token.clone());
         self.device = Some(Box::pin(async move {
-            // The view that the dataset opens with, not the one that edits have changed meanwhile.
+            // Opens with the dataset's own opening view: edits may have changed the surface's view meanwhile.
             let result = match opening_view(volume.dataset()) {
                 Ok(view) => backend.open(&volume, &view, &token, &progress).await,
                 Err(error) => Err(error.into()),

@@ -1,27 +1,29 @@
 //! Flow control: bounds the bytes in flight, which the client has not confirmed yet. So a newer edit does not wait until much of an older
 //! surface is sent.
 //!
-//! A ping follows each eighth of the window, and its pong confirms that all bytes before it have arrived. The window is the number of bytes
-//! that the line takes in its round trip plus [`QUEUE`]. Without a window, buffers of the operating system and the network would take
-//! several megabytes, for which a slow line needs seconds.
+//! A ping follows each eighth of the window. The ping's pong confirms that all bytes before the ping have arrived. The window is the number
+//! of bytes that the line takes in a round trip plus [`QUEUE`]. Without a window, buffers of the operating system and the network would
+//! take several megabytes, for which a slow line needs seconds.
 
 use std::collections::VecDeque;
 use std::time::Duration;
 
 use tokio::time::Instant;
 
-/// Time that bytes may wait for the line, beyond a round trip.
+/// Time that bytes may wait for the line, beyond a round trip. A newer edit waits about as long for the bytes of an older surface.
 const QUEUE: Duration = Duration::from_millis(120);
 
-/// The window before the first pong, and the minimum for slow lines.
+/// Bytes of the window before the first pong.
 const FIRST_WINDOW: u64 = 64 << 10;
+/// Minimum bytes of the window, for slow lines.
 const MIN_WINDOW: u64 = 24 << 10;
 
-/// Maximum number of pings in a window. There must be few, because the server limits how many messages, pongs included, it reads.
+/// Maximum number of pings in a window. There must be few, because the server limits how many messages it reads, and pongs count too.
 const PINGS_PER_WINDOW: u64 = 8;
+/// Minimum bytes between two pings, so that a small window has fewer of them.
 const MIN_BYTES_PER_PING: u64 = 8 << 10;
 
-/// Number of latest rates, of which the highest is used: a pause of the sender or the network makes some of them too low.
+/// Number of latest rates that are kept. The highest one is used, because a pause of the sender or the network makes some of them too low.
 const RATES: usize = 10;
 
 /// Time without a pong after which the window is ignored: the client may be behind a proxy that answers no pings. A client that does not
@@ -34,13 +36,14 @@ const MARK: u32 = 1 << 31;
 /// A ping whose pong is awaited.
 struct Ping {
     number: u32,
-    /// Bytes sent before it.
+    /// Bytes of the connection that were sent before the ping.
     sent: u64,
-    /// Bytes that had been confirmed when the ping was sent; `since` is the line's `progress` at that time.
+    /// Bytes that had been confirmed when the ping was sent.
     confirmed: u64,
+    /// The line's `progress` when the ping was sent.
     since: Instant,
-    at: Instant,
-    /// Whether the line had capacity. If so, the measured rate may be limited by the sender, not by the line.
+    sent_at: Instant,
+    /// Whether the line had capacity when the ping was sent. If so, the sender rather than the line may have limited the measured rate.
     had_capacity: bool,
 }
 
@@ -50,8 +53,9 @@ pub(super) struct Line {
     confirmed: u64,
     /// Pings whose pongs are awaited, the oldest first.
     pings: VecDeque<Ping>,
-    next: u32,
-    /// Bytes a second, the latest last.
+    /// Number of the last ping, without [`MARK`].
+    last_number: u32,
+    /// The latest rates in bytes a second, the newest last.
     rates: VecDeque<f64>,
     round_trip: Option<Duration>,
     /// When bytes were last confirmed, or when sending began again with nothing in flight.
@@ -64,23 +68,24 @@ impl Line {
             sent: 0,
             confirmed: 0,
             pings: VecDeque::new(),
-            next: 0,
+            last_number: 0,
             rates: VecDeque::with_capacity(RATES),
             round_trip: None,
             progress: Instant::now(),
         }
     }
 
-    /// Whether the ping of this number is one of this module's.
+    /// Whether this module, and not [`super::pace`], has sent the ping of this number.
     pub(super) fn is_own(number: u32) -> bool {
         number & MARK != 0
     }
 
-    /// The highest of the latest rates, bytes a second; 0 while none is known.
+    /// Returns the highest of the latest rates, in bytes a second; 0 while none is known.
     fn highest_rate(&self) -> f64 {
         self.rates.iter().copied().fold(0.0, f64::max)
     }
 
+    /// Returns the maximum bytes in flight.
     fn window(&self) -> u64 {
         let highest = self.highest_rate();
         match self.round_trip {
@@ -91,7 +96,7 @@ impl Line {
         }
     }
 
-    /// Time that the line needs for `bytes`; zero while its rate is not known.
+    /// Returns the time that the line needs for `bytes`; zero while its rate is not known.
     pub(super) fn time_of(&self, bytes: u64) -> Duration {
         let highest = self.highest_rate();
         if highest > 0.0 {
@@ -101,7 +106,7 @@ impl Line {
         }
     }
 
-    /// Bytes that the line takes in this time; unlimited while its rate is not known.
+    /// Returns the bytes that the line takes in this time; `u64::MAX` while its rate is not known.
     pub(super) fn bytes_within(&self, time: Duration) -> u64 {
         match self.highest_rate() {
             rate if rate > 0.0 => (rate * time.as_secs_f64()) as u64,
@@ -119,43 +124,43 @@ impl Line {
         (!self.has_capacity()).then(|| self.progress + MAX_PONG_WAIT)
     }
 
-    /// Records that the writer takes a frame. Returns the number of the ping to send behind it, if one is due.
-    pub(super) fn took(&mut self, bytes: usize) -> Option<u32> {
+    /// Records that the writer takes a frame of this many bytes. Returns the number of the ping to send behind it, if one is due.
+    pub(super) fn record_frame(&mut self, bytes: usize) -> Option<u32> {
         let now = Instant::now();
         if self.sent == self.confirmed {
             self.progress = now;
         }
         self.sent += bytes as u64;
-        let since = self.sent - self.pings.back().map_or(self.confirmed, |ping| ping.sent);
-        if since < (self.window() / PINGS_PER_WINDOW).max(MIN_BYTES_PER_PING) {
+        let bytes_since_ping = self.sent - self.pings.back().map_or(self.confirmed, |ping| ping.sent);
+        if bytes_since_ping < (self.window() / PINGS_PER_WINDOW).max(MIN_BYTES_PER_PING) {
             return None;
         }
-        self.next = self.next.wrapping_add(1);
-        let number = self.next | MARK;
+        self.last_number = self.last_number.wrapping_add(1);
+        let number = self.last_number | MARK;
         self.pings.push_back(Ping {
             number,
             sent: self.sent,
             confirmed: self.confirmed,
             since: self.progress,
-            at: now,
+            sent_at: now,
             had_capacity: self.sent - self.confirmed < self.window(),
         });
         Some(number)
     }
 
     /// Handles a pong. Ignores one that belongs to no ping.
-    pub(super) fn received(&mut self, number: u32) {
-        let Some(at) = self.pings.iter().position(|ping| ping.number == number) else {
+    pub(super) fn on_pong(&mut self, number: u32) {
+        let Some(index) = self.pings.iter().position(|ping| ping.number == number) else {
             return;
         };
-        let Some(ping) = self.pings.drain(..=at).next_back() else {
+        let Some(ping) = self.pings.drain(..=index).next_back() else {
             return;
         };
         let now = Instant::now();
-        let took = |since: Instant| (now - since).max(Duration::from_micros(100));
-        let round_trip = took(ping.at);
+        let elapsed = |since: Instant| (now - since).max(Duration::from_micros(100));
+        let round_trip = elapsed(ping.sent_at);
         self.round_trip = Some(self.round_trip.map_or(round_trip, |minimum| minimum.min(round_trip)));
-        let rate = (ping.sent - ping.confirmed) as f64 / took(ping.since).as_secs_f64();
+        let rate = (ping.sent - ping.confirmed) as f64 / elapsed(ping.since).as_secs_f64();
         if !ping.had_capacity || rate > self.highest_rate() {
             self.rates.push_back(rate);
         }
@@ -181,7 +186,7 @@ mod tests {
         while began.elapsed() < Duration::from_secs(seconds) {
             while line.has_capacity() {
                 free = free.max(Instant::now()) + Duration::from_secs_f64(4096.0 / bytes_per_second);
-                pongs.push_back((free + round_trip, line.took(4096)));
+                pongs.push_back((free + round_trip, line.record_frame(4096)));
             }
             if began.elapsed() > Duration::from_secs(1) {
                 longest = longest.max(free.saturating_duration_since(Instant::now()));
@@ -189,7 +194,7 @@ mod tests {
             tokio::time::sleep(Duration::from_millis(1)).await;
             while let Some((_, number)) = pongs.pop_front_if(|(at, _)| *at <= Instant::now()) {
                 arrived += 4096;
-                number.into_iter().for_each(|number| line.received(number));
+                number.into_iter().for_each(|number| line.on_pong(number));
             }
         }
         (longest, arrived)
@@ -219,11 +224,11 @@ mod tests {
         // Frames that come one by one, then as many as the line takes, then one by one again.
         for pause in [Duration::from_millis(20), Duration::ZERO, Duration::from_millis(20)] {
             for _ in 0..200 {
-                let number = line.took(3072);
+                let number = line.record_frame(3072);
                 tokio::time::sleep(frame_time.max(pause)).await;
                 if let Some(number) = number {
                     tokio::time::sleep(round_trip).await;
-                    line.received(number);
+                    line.on_pong(number);
                 }
             }
             let found = line.highest_rate();
@@ -238,15 +243,15 @@ mod tests {
     async fn without_pongs_the_window_does_not_count_after_a_while() {
         let mut line = Line::new();
         while line.has_capacity() {
-            line.took(1 << 10);
+            line.record_frame(1 << 10);
         }
         assert_eq!(line.sent, FIRST_WINDOW);
         assert_eq!(line.bytes_within(QUEUE), u64::MAX, "not known yet");
         let capacity_at = line.capacity_at().expect("a full line");
         tokio::time::sleep_until(capacity_at).await;
         assert!(line.has_capacity());
-        line.received(7);
-        line.received(MARK | 1 << 20);
+        line.on_pong(7);
+        line.on_pong(MARK | 1 << 20);
         assert_eq!(line.confirmed, 0, "pongs of no ping");
     }
 }

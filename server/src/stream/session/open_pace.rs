@@ -4,16 +4,16 @@ use std::time::Duration;
 
 use tokio::time::Instant;
 
-/// Number of openings that are read without a pause, for a user who looks through the volumes of a study.
+/// Number of openings that are read without a pause: as many as a user needs to look through the volumes of a study.
 const BURST_OPENINGS: u32 = 8;
-/// Interval between openings once the burst is used up. An opening with its first step takes some 50 ms of the device, so a client that
-/// opens one volume after the other takes a tenth of the device's time.
+/// Minimum interval between openings once the burst is used up. An opening with its first step takes about 50 ms of the device, so a client
+/// that opens one volume after the other takes a tenth of the device's time.
 const OPEN_INTERVAL: Duration = Duration::from_millis(500);
 
 /// Decides when the session pauses reading after an opening. Unread messages stay in order, and TCP gives back-pressure to the client.
 #[derive(Default)]
 pub(super) struct OpenPace {
-    /// Theoretical arrival time: when all openings so far would be done at one per [`OPEN_INTERVAL`].
+    /// Theoretical arrival time of GCRA: the time at which the openings so far would be used up, at one per [`OPEN_INTERVAL`].
     arrival: Option<Instant>,
 }
 
@@ -23,7 +23,7 @@ impl OpenPace {
         self.arrival = Some(self.arrival.map_or(now, |arrival| arrival.max(now)) + OPEN_INTERVAL);
     }
 
-    /// Returns until when the session reads no message of the client; `None` if it may read now.
+    /// Returns the time until which the session must not read messages of the client; `None` if it may read now.
     pub fn held_until(&self, now: Instant) -> Option<Instant> {
         let ahead = self.arrival?.saturating_duration_since(now);
         let wait = ahead.checked_sub(OPEN_INTERVAL * (BURST_OPENINGS - 1))?;

@@ -20,8 +20,8 @@ use crate::service::OpeningProgress;
 /// The volume of a session, from the message `open` on.
 pub(super) struct OpenVolume {
     pub volume: VolumeStep,
-    /// The opening view, with which a new surface begins. Resolved once the volume is open.
-    view: View,
+    /// The view with which a new surface begins. Resolved once the volume is open.
+    opening_view: View,
     pub phase: OpeningPhase,
     /// Progress of the opening, until the volume is open.
     pub progress: Option<watch::Receiver<OpeningProgress>>,
@@ -35,9 +35,9 @@ pub(super) struct OpenVolume {
     budget_edit: Option<BudgetEdit>,
     /// The time step that the client has requested, until it comes into force.
     pub stepping: Option<PendingStep>,
-    /// The time step that the client is expected to request next, until it is read ahead.
+    /// The time step that the client is expected to request next, until its read-ahead begins.
     pub expected: Option<u32>,
-    /// Since when the client shows a time step whose description it does not have.
+    /// When the client began to show a time step whose description it does not have yet.
     pub undescribed_since: Option<Instant>,
     /// Marks the volume as in use, and notifies when it is removed.
     pub lease: Lease,
@@ -89,13 +89,13 @@ impl<B: Backend> Session<B> {
     /// Handles the removal of the open volume by a user or by its expiry. The viewer keeps its picture.
     pub(super) fn on_removed_volume(&mut self) {
         self.close_volume();
-        let message = "this volume was removed from the server: nothing more is made of it, GET /api/v1/volumes lists those there are";
+        let message = "this volume was removed from the server and cannot be edited any more, GET /api/v1/volumes lists the others";
         self.send_error("volume-removed", message, true);
     }
 }
 
 impl OpenVolume {
-    /// Creates an open volume with surface 0, which is not made before an edit.
+    /// Creates an open volume with surface 0, which is not made before an edit requests it.
     pub(super) fn new(volume: VolumeStep, view: View, step_guard: OpenStepGuard, lease: Lease) -> Self {
         let (token, step_token) = (CancellationToken::new(), CancellationToken::new());
         let mut surfaces = [const { None }; MAX_SURFACES as usize];
@@ -105,7 +105,7 @@ impl OpenVolume {
         });
         Self {
             volume,
-            view,
+            opening_view: view,
             phase: OpeningPhase::Waiting,
             progress: None,
             device: String::new(),
@@ -130,7 +130,7 @@ impl OpenVolume {
     /// Values that were edited meanwhile stay; the others are taken from the opening view. Edits that need resolving are held back.
     pub(super) fn on_opened(&mut self, view: View, edits: u64) {
         (self.phase, self.progress) = (OpeningPhase::Open, None);
-        let unresolved = std::mem::replace(&mut self.view, view);
+        let unresolved = std::mem::replace(&mut self.opening_view, view);
         for number in 0..MAX_SURFACES {
             self.fill_from_opening_view(number, &unresolved);
             self.hold_back_early_edit(number, edits);
@@ -139,7 +139,7 @@ impl OpenVolume {
 
     /// Sets the values of a surface that no edit has set. `unresolved`: the opening view before it was resolved.
     fn fill_from_opening_view(&mut self, number: u8, unresolved: &View) {
-        let (iso, range) = (self.view.iso, self.view.feature_range);
+        let (iso, range) = (self.opening_view.iso, self.opening_view.feature_range);
         let Some(surface) = self.surface_mut(number) else {
             return;
         };
@@ -151,10 +151,10 @@ impl OpenVolume {
         }
     }
 
-    /// If an edit has changed a surface before the volume was open, and its view must be resolved: holds it back, with the opening view in
-    /// force until then.
+    /// Holds back the view of a surface that an edit has changed before the volume was open, if the view must be resolved. Until then the
+    /// opening view is in force.
     fn hold_back_early_edit(&mut self, number: u8, edits: u64) {
-        let opening_view = self.view.clone();
+        let opening_view = self.opening_view.clone();
         let Some(surface) = self.surface_mut(number).filter(|surface| surface.edit_pending) else {
             return;
         };
@@ -163,7 +163,7 @@ impl OpenVolume {
         if self.has_to_resolve(number, &edited) {
             self.hold_back(number, edited, None, edits, None);
             if let Some(surface) = self.surface_mut(number) {
-                (surface.edit_pending, surface.edited) = (false, 0);
+                (surface.edit_pending, surface.last_edit) = (false, 0);
             }
         } else if let Some(surface) = self.surface_mut(number) {
             surface.view = edited;
@@ -178,15 +178,15 @@ impl OpenVolume {
         self.surfaces.get_mut(usize::from(number))?.as_mut()
     }
 
-    /// All surfaces with their numbers.
+    /// Returns all surfaces with their numbers.
     pub(super) fn surfaces(&self) -> impl Iterator<Item = (u8, &SurfaceSession)> {
         (0..)
             .zip(&self.surfaces)
             .filter_map(|(number, s)| Some((number, s.as_ref()?)))
     }
 
-    /// Postpones the work at rest of all surfaces, because the viewer wants something else: also that of a surface whose edit is being
-    /// resolved, which would wait for the device otherwise.
+    /// Postpones the work at rest of all surfaces, because the viewer has requested other work. This includes a surface whose edit is being
+    /// resolved: resolving would otherwise wait for the device.
     pub(super) fn postpone_rest(&mut self) {
         for (_, surface) in self.surfaces_mut() {
             surface.rest_mut().into_iter().for_each(Rest::postpone);
@@ -231,7 +231,7 @@ impl OpenVolume {
         let budget = self
             .surfaces()
             .find_map(|(_, surface)| surface.edited_view(&fields).budget);
-        let mut view = self.view.clone();
+        let mut view = self.opening_view.clone();
         view.budget = budget.or(view.budget);
         view
     }
@@ -241,14 +241,14 @@ impl OpenVolume {
         if let Some(surface) = self.surface(number) {
             return surface.view.clone();
         }
-        let mut view = self.view.clone();
+        let mut view = self.opening_view.clone();
         let budget = self.surfaces().find_map(|(_, surface)| surface.view.budget);
         view.budget = budget.or(view.budget);
         view
     }
 
-    /// Sets the view of a surface that edits have changed. `budget_edit`: also sets the connection's budget,
-    /// unless a later edit has changed it.
+    /// Sets the view of a surface that edits have changed. If there is a `budget_edit`, also sets the connection's budget, unless a later
+    /// edit has changed the budget.
     pub(super) fn set_view(&mut self, number: u8, mut view: View, budget_edit: Option<BudgetEdit>) {
         if let Some(budget_edit) = budget_edit {
             let newest = self.share_budget(number, budget_edit);
@@ -283,11 +283,11 @@ impl OpenVolume {
 
     /// Returns the view with which a new surface begins.
     pub(super) fn opening_view(&self) -> &View {
-        &self.view
+        &self.opening_view
     }
 
-    /// Removes a surface at the request of the user. The other surfaces keep a budget that one of its edits has set, even if that edit
-    /// is still being checked.
+    /// Removes a surface at the request of the user. If an edit of that surface has set the budget, the other surfaces keep it, even if
+    /// the edit is still being checked.
     pub(super) fn remove_by_user(&mut self, number: u8) {
         let fields = self.volume.dataset().field_names();
         let pending = self.surface(number).and_then(|surface| surface.pending.as_ref());

@@ -1,10 +1,10 @@
-//! Frames that wait until the writer takes them, and how many bytes they hold.
+//! Frames that wait until the writer takes them, and the bytes that they hold.
 
 use std::collections::VecDeque;
 
 use super::Outgoing;
 
-/// Kinds of messages of which only the newest counts. At most one message of each kind waits, even if the client does not read.
+/// Kinds of messages of which only the newest is sent. At most one message of each kind waits, even if the client does not read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Newest {
     Opening,
@@ -13,7 +13,7 @@ pub(super) enum Newest {
     Posed,
 }
 
-/// All but [`Frame::Control`], [`Frame::Newest`] and [`Frame::Ping`] are dropped when their generation ends.
+/// A waiting frame. When a generation ends, its frames are dropped: all but [`Frame::Control`], [`Frame::Newest`] and [`Frame::Ping`].
 pub(super) enum Frame {
     /// Belongs to no generation.
     Control(String),
@@ -44,15 +44,15 @@ impl Frame {
     }
 
     fn is_newest(&self, kind: Newest) -> bool {
-        matches!(self, Self::Newest(own, _) if *own == kind)
+        matches!(self, Self::Newest(own_kind, _) if *own_kind == kind)
     }
 
     /// Whether the frame outlives a generation that ends.
-    fn is_kept(&self) -> bool {
+    fn outlives_generation(&self) -> bool {
         self.surface().is_none()
     }
 
-    /// Bytes that the frame holds in memory.
+    /// Returns the bytes that the frame holds in memory.
     fn bytes(&self) -> usize {
         let payload = match self {
             Self::Control(text) | Self::Newest(_, text) | Self::Commit(_, text) | Self::Done(_, text) => text.len(),
@@ -67,6 +67,7 @@ impl Frame {
     }
 }
 
+/// The queue of frames between the session and the writer.
 #[derive(Default)]
 pub(super) struct Outbox {
     frames: VecDeque<Frame>,
@@ -77,23 +78,24 @@ pub(super) struct Outbox {
 }
 
 impl Outbox {
-    /// Bytes of frames that outlive their generation. A client that sends and does not read can make them grow.
+    /// Returns the bytes of frames that outlive a generation. Their number can grow if a client sends but does not read.
     pub(super) fn kept_bytes(&self) -> usize {
         self.kept_bytes
     }
 
-    /// Bytes of all generations' frames.
+    /// Returns the bytes of all generations' frames.
     pub(super) fn surface_bytes(&self) -> usize {
         self.surface_bytes
     }
 
-    /// Bytes of the next frame.
+    /// Returns the bytes of the next frame; `None` if no frame waits.
     pub(super) fn next_bytes(&self) -> Option<usize> {
         self.frames.front().map(Frame::bytes)
     }
 
+    /// Returns the sum of bytes to which this frame counts.
     fn bytes_like(&mut self, frame: &Frame) -> &mut usize {
-        if frame.is_kept() {
+        if frame.outlives_generation() {
             &mut self.kept_bytes
         } else {
             &mut self.surface_bytes
@@ -116,15 +118,15 @@ impl Outbox {
         Some(frame)
     }
 
-    /// Replaces the waiting frame of this kind at its place in the queue, because frames queued after it may depend on it, as `opened` does
-    /// on `led`. If none waits, appends the frame.
+    /// Replaces the waiting message of this kind, at the same place in the queue, because frames behind it may depend on it, as `opened`
+    /// does on `led`. If no message of this kind waits, appends this one.
     pub(super) fn push_newest(&mut self, kind: Newest, text: String) {
         let frame = Frame::Newest(kind, text);
-        let Some(at) = self.frames.iter().position(|waiting| waiting.is_newest(kind)) else {
+        let Some(index) = self.frames.iter().position(|waiting| waiting.is_newest(kind)) else {
             return self.push_back(frame);
         };
         self.kept_bytes += frame.bytes();
-        let before = std::mem::replace(&mut self.frames[at], frame);
+        let before = std::mem::replace(&mut self.frames[index], frame);
         self.kept_bytes -= before.bytes();
     }
 
@@ -147,10 +149,10 @@ impl Outbox {
 
     fn retain(&mut self, keep: impl Fn(&Frame) -> bool) {
         self.frames.retain(keep);
-        let bytes = |is_kept| {
+        let bytes = |outlives_generation| {
             self.frames
                 .iter()
-                .filter(|frame| frame.is_kept() == is_kept)
+                .filter(|frame| frame.outlives_generation() == outlives_generation)
                 .map(Frame::bytes)
                 .sum()
         };

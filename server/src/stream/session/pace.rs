@@ -1,5 +1,5 @@
-//! Size of a step, chosen so that the step arrives within [`StepTimes`]. It follows from two measured speeds: that at which device and pool
-//! make triangles, and that of the line.
+//! Chooses the size of a step so that the step arrives within [`StepTimes`]. The size follows from two measured speeds: the speed at which
+//! device and pool make triangles, and the speed of the line.
 //!
 //! Every step ends with a ping. The client's pong confirms that the whole step has arrived. The time at which the socket accepts the bytes
 //! does not: on a slow line, buffers of the operating system hold them for seconds.
@@ -9,10 +9,10 @@ use std::time::Duration;
 
 use tokio::time::Instant;
 
-/// Time that device and pool together, and then the line, may take for a step.
+/// Target times of a step: for device and pool together, and then for the line.
 #[derive(Clone, Copy, Debug)]
 pub struct StepTimes {
-    /// The first step of a new surface, without the time for its pyramid. A surface that takes hardly longer is made in one step.
+    /// The first step of a new surface, without the time for its pyramid. A surface that takes hardly longer than this is made in one step.
     pub fresh: Duration,
     /// The first step of a surface that changes.
     pub first: Duration,
@@ -33,14 +33,14 @@ impl Default for StepTimes {
     }
 }
 
-/// Triangles that are meshed and encoded in a millisecond, until the speed is measured: that of two processors.
+/// Assumed speed of meshing and encoding until it is measured, in triangles per millisecond: the speed of two processors.
 const TRIANGLES_PER_MS: f64 = 3000.0;
 
 /// Minimum triangles of a step whose time is measured: smaller steps spend most of their time on launches.
 const MEASURED_TRIANGLES: u64 = 20_000;
 /// Minimum bytes of a step whose time on the line is measured: the time of smaller ones is mostly latency.
 const MEASURED_BYTES: u64 = 16 << 10;
-/// Minimum milliseconds on the line from which on a step of any size is measured.
+/// A step that took at least this many milliseconds on the line is measured whatever its size.
 const MEASURED_MS: f64 = 5.0;
 
 /// Weight of the latest measurement in the exponential moving average of a speed.
@@ -169,11 +169,11 @@ impl Pace {
 
     /// Handles a pong: measures the line with all steps up to this one. Ignores a pong whose number belongs to no step.
     pub(super) fn on_pong(&mut self, number: u32) {
-        let Some(at) = self.on_line.iter().position(|step| step.number == number) else {
+        let Some(index) = self.on_line.iter().position(|step| step.number == number) else {
             return;
         };
         let now = Instant::now();
-        let steps: Vec<StepOnLine> = self.on_line.drain(..=at).collect();
+        let steps: Vec<StepOnLine> = self.on_line.drain(..=index).collect();
         let bytes: u64 = steps.iter().map(|step| step.bytes).sum();
         let first = steps.first().map_or(now, |step| step.first);
         let began = self.last_pong.map_or(first, |last| last.max(first));
@@ -185,7 +185,8 @@ impl Pace {
     }
 }
 
-/// Returns the moving average after a further measurement. If there was none before (infinity), the measurement itself.
+/// Returns the moving average after a further measurement. Before the first one `before` is infinite; then the measurement itself is
+/// returned.
 fn average(before: f64, latest: f64) -> f64 {
     if before.is_finite() {
         before + LATEST_WEIGHT * (latest - before)

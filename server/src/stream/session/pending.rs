@@ -4,17 +4,17 @@ use isopeel_view::quality::Budget;
 use isopeel_view::{Edit, FeatureName, View};
 use isopeel_volumes::VolumeStep;
 
-/// Maximum number of edits of a surface that are stored one by one while they wait, so that an invalid one can be rejected without the
-/// others.
+/// Maximum number of waiting edits of a surface that are stored one by one. They are stored so that an invalid edit can be rejected
+/// without the others.
 pub(super) const MAX_WAITING_EDITS: usize = 64;
 
 /// An edit that has not come into force yet.
 #[derive(Clone)]
 pub(super) struct WaitingEdit {
     pub edit: Edit,
-    /// The time step that was in force, or on its way, when it came.
-    pub at: VolumeStep,
-    /// Place among the edits of the connection, from 1.
+    /// The time step that was pending when the edit came, or else the one that was in force.
+    pub step: VolumeStep,
+    /// Number of the edit among those of the connection, from 1.
     pub number: u64,
     /// Whether the surface is made when the edit comes into force: not after a `cancel`.
     pub makes_surface: bool,
@@ -45,28 +45,28 @@ impl BudgetEdit {
 pub(super) struct PendingView {
     /// The view after the edits.
     pub view: View,
-    /// The time step from which the values are resolved that the view leaves open.
-    pub at: VolumeStep,
+    /// The time step for which the values that the view leaves open are resolved.
+    pub step: VolumeStep,
     /// The last budget that one of the edits has set. A later edit may have removed the surface's budget.
     pub budget_edit: Option<BudgetEdit>,
     /// Number of the last edit.
     pub edit: u64,
     /// Whether the surface is made when the view comes into force: not after a `cancel`.
     pub makes_surface: bool,
-    /// Whether the query to the device has failed; the next edit retries it.
+    /// Whether resolving the view has failed. The next edit retries it.
     pub is_paused: bool,
     /// The edits that led to the view from the one in force; empty if there were more than [`MAX_WAITING_EDITS`].
     pub edits: Vec<WaitingEdit>,
-    /// Edits that are applied one by one after this view has come into force or was found to be invalid. They are left from edits that were
-    /// resolved together.
+    /// The rest of a list of edits that are applied one by one. The next of them is applied once this view has come into force or was found
+    /// to be invalid.
     pub queue: Vec<WaitingEdit>,
 }
 
 /// A time step that has not come into force.
 pub(super) struct PendingStep {
     pub volume: VolumeStep,
-    /// Number of the last edit before a `cancel`; `None`: no `cancel` came. A surface that no later edit has changed is not made at this
-    /// step.
+    /// Number of the last edit before a `cancel`; `None` if no `cancel` came. At this step only surfaces that a later edit has changed are
+    /// made.
     pub cancelled_after: Option<u64>,
 }
 
@@ -95,7 +95,7 @@ impl PendingView {
 
     /// Whether the range of the feature is still to be resolved, and `view` has the same feature.
     pub(super) fn leaves_range_open(&self, view: &View) -> bool {
-        // A derived feature is one of the field.
+        // A derived feature is computed from the field, so another field is another feature.
         let is_derived = matches!(view.feature, FeatureName::Derived(_));
         let is_same_feature = self.view.feature == view.feature && (!is_derived || self.view.field == view.field);
         self.view.feature_range.is_none() && is_same_feature
@@ -113,17 +113,17 @@ impl PendingView {
         edits.for_each(|waiting| waiting.makes_surface = false);
     }
 
-    /// Whether the values that were resolved for `asked` are valid for this view too.
-    pub(super) fn resolves_like(&self, asked: &Self) -> bool {
+    /// Whether the values that were resolved for `requested` are valid for this view too.
+    pub(super) fn resolves_like(&self, requested: &Self) -> bool {
         let inputs = |pending: &Self| {
             let view = &pending.view;
             (
                 view.field.clone(),
                 view.mask.clone(),
                 view.feature.clone(),
-                pending.at.key(),
+                pending.step.key(),
             )
         };
-        inputs(self) == inputs(asked)
+        inputs(self) == inputs(requested)
     }
 }

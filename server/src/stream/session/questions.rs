@@ -4,7 +4,7 @@
 //! questions wait for edits, and edits never wait for questions. An edit cancels the running question, which is repeated for the new
 //! surface. Work at rest pauses for an answer.
 //!
-//! An annotation (distances of all vertices) takes long, so it comes after the work at rest, and an edit drops it.
+//! An annotation, such as the distances of all vertices, takes long. So it comes after the work at rest, and an edit drops it.
 
 use std::sync::Arc;
 
@@ -24,7 +24,7 @@ use super::outbox::Frame;
 use super::shown::HeldSurface;
 use crate::wire::messages::{Annotation, ServerMessage};
 
-/// A finished question: its number and its result.
+/// Number and result of a finished question.
 pub(super) type Answered = (u32, Result<QuestionResult, WorkError>);
 
 /// Result of a question, ready to be sent.
@@ -56,7 +56,7 @@ pub(super) struct Questions {
     pub job: Option<BoxFuture<Answered>>,
 }
 
-/// Place of annotations in `waiting`: the last, because they have the lowest priority.
+/// Index of annotations in [`Questions::waiting`]: the last one, because they have the lowest priority.
 const ANNOTATIONS: usize = 3;
 
 /// Returns the question to the device for an annotation.
@@ -67,7 +67,8 @@ pub(super) fn annotation_question(annotation: Annotation) -> Question {
     })
 }
 
-/// Returns the priority of a question's kind, which is its place in [`Questions::waiting`]: those that follow the pointer come first.
+/// Returns the priority of a question's kind, which is the kind's index in [`Questions::waiting`]. Questions that follow the pointer come
+/// first.
 fn priority(question: Question) -> usize {
     match question {
         Question::Probe(_) => 0,
@@ -84,13 +85,13 @@ impl Questions {
     }
 
     /// Takes the waiting question of the highest priority. An annotation, which takes long, is taken only if all surfaces are idle.
-    fn take_next(&mut self, all_idle: bool) -> Option<(u8, Question)> {
-        let end = if all_idle { self.waiting.len() } else { ANNOTATIONS };
+    fn take_next(&mut self, is_idle: bool) -> Option<(u8, Question)> {
+        let end = if is_idle { self.waiting.len() } else { ANNOTATIONS };
         self.waiting[..end].iter_mut().find_map(Option::take)
     }
 
-    /// Cancels the running question because an edit goes first. It is repeated afterwards, unless a newer one of its kind waits. An
-    /// annotation is dropped, because it belongs to the surface that was shown before the edit.
+    /// Cancels the running question because an edit goes first. The question is repeated afterwards, unless a newer one of its kind waits.
+    /// An annotation is dropped, because it belongs to the surface that was shown before the edit.
     pub(super) fn cancel_for_edit(&mut self) {
         self.drop_annotation();
         if let Some(Running { surface, question, .. }) = self.running.take() {
@@ -145,11 +146,11 @@ impl<B: Backend> Session<B> {
         if opened.phase != OpeningPhase::Open || opened.is_awaited() {
             return;
         }
-        // Take no annotation while another one's chunks wait in the outbox.
-        let all_idle = self.device.is_none()
+        // No annotation is started while the chunks of another one wait in the outbox.
+        let is_idle = self.device.is_none()
             && self.outbox.surface_bytes() == 0
             && opened.surfaces().all(|(_, surface)| surface.rest().is_none());
-        let Some((surface, question)) = self.questions.take_next(all_idle) else {
+        let Some((surface, question)) = self.questions.take_next(is_idle) else {
             return;
         };
         self.start_question(surface, question);
@@ -178,7 +179,7 @@ impl<B: Backend> Session<B> {
             ..PrefixId::cut(surface, session.shown_generation, 0)
         };
         self.questions.job = Some(Box::pin(async move {
-            let found = match backend.answer(&volume, shown.as_ref(), question, &token).await {
+            let result = match backend.answer(&volume, shown.as_ref(), question, &token).await {
                 Ok(Answer::VertexErrors(errors)) => match encode_errors(errors, held, chunk_id, token).await {
                     Ok(chunks) => Ok(QuestionResult::Chunks(chunks)),
                     Err(PrefixError::Cancelled) => Err(WorkError::Cancelled),
@@ -189,7 +190,7 @@ impl<B: Backend> Session<B> {
                 },
                 answer => answer.map(QuestionResult::Answer),
             };
-            (number, found)
+            (number, result)
         }));
     }
 

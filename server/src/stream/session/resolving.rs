@@ -1,10 +1,10 @@
 //! Resolves views before they come into force. A view is resolved if its isovalue and the range of its feature are numbers, and if the
 //! samples of its fields are loaded, including computed and masked ones. Until then the previous view stays in force and is shown. So an
-//! invalid edit changes nothing, and neither does a time step of which one of the surfaces cannot be made.
+//! invalid edit changes nothing. A time step is dropped if one of the surfaces cannot be made of it.
 //!
-//! Messages take effect in the order in which they came. An edit that needs no resolving comes into force at once. Values that an edit
-//! leaves open are resolved for the time step that was pending when the edit came, or else for the one in force. A later time step does not
-//! change them.
+//! Messages take effect in the order in which they came. An edit that needs no resolving comes into force at once. If an edit
+//! leaves a value open, the value is resolved for the time step that was pending when the edit came, or else for the step in force. A later
+//! time step does not change the value.
 
 use isopeel_extraction::WorkError;
 use isopeel_view::{Edit, View};
@@ -51,13 +51,13 @@ impl OpenVolume {
     /// Whether a new surface has to wait because pending edits of other surfaces may change the budget with which it begins.
     fn waits_for_budget(&self, surface: u8) -> bool {
         let fields = self.volume.dataset().field_names();
-        let is_open_question = |other: &SurfaceSession| {
+        let may_change_budget = |other: &SurfaceSession| {
             other.pending.is_some() && (other.is_new() || other.edited_view(&fields).budget != other.view.budget)
         };
         self.surface(surface).is_none_or(SurfaceSession::is_new)
             && self
                 .surfaces()
-                .any(|(number, other)| number != surface && is_open_question(other))
+                .any(|(number, other)| number != surface && may_change_budget(other))
     }
 
     /// Removes the surfaces that are not in force yet, and returns their waiting edits in the order in which they came.
@@ -81,7 +81,7 @@ impl OpenVolume {
         let pending_step = self.stepping.as_ref().map(|stepping| stepping.volume.key());
         let pending = self.surfaces().filter_map(|(number, surface)| {
             let pending = surface.pending.as_ref().filter(|pending| !pending.is_paused)?;
-            (Some(pending.at.key()) != pending_step).then_some((number, pending))
+            (Some(pending.step.key()) != pending_step).then_some((number, pending))
         });
         pending.min_by_key(|(_, pending)| pending.first_edit())
     }
@@ -94,14 +94,14 @@ impl<B: Backend> Session<B> {
         let Some(opened) = &mut self.opened else { return };
         let waiting = WaitingEdit {
             edit: edit.clone(),
-            at: opened.newest_step().clone(),
+            step: opened.newest_step().clone(),
             number: self.edits,
             makes_surface: true,
         };
         self.apply_edit(surface, view, waiting);
     }
 
-    /// As [`Session::accept_edit`], for an edit that was counted when it came.
+    /// As [`Session::accept_edit`], for an edit that [`Session::begin_edit`] has numbered before.
     fn apply_edit(&mut self, surface: u8, view: View, waiting: WaitingEdit) {
         let Some(opened) = &mut self.opened else { return };
         let budget_edit = BudgetEdit::new(&waiting, &view);
@@ -116,7 +116,11 @@ impl<B: Backend> Session<B> {
             if pending.queue.len() < MAX_WAITING_EDITS {
                 pending.queue.push(waiting);
             } else {
-                self.send_surface_error(surface, "busy", "too many edits wait for one that is checked".into());
+                self.send_surface_error(
+                    surface,
+                    "busy",
+                    "too many edits wait for an earlier one to be checked".into(),
+                );
             }
             return;
         }
@@ -170,7 +174,7 @@ impl<B: Backend> Session<B> {
         let Some(opened) = &mut self.opened else { return };
         opened.set_view(surface, view, budget_edit);
         if let Some(session) = opened.surface_mut(surface) {
-            session.edited = edit;
+            session.last_edit = edit;
             (session.pending, session.failed, session.key) = (None, None, None);
         }
         self.change(surface);
@@ -192,8 +196,8 @@ impl<B: Backend> Session<B> {
         let job = match (opened.next_pending(), &opened.stepping) {
             (Some((surface, pending)), _) => resolve_view(self.backend.clone(), surface, pending.clone()),
             (None, Some(stepping)) => {
-                let made = opened.surfaces().filter(|(_, surface)| surface.edited > 0);
-                let views = made.map(|(number, surface)| (number, surface.view.clone())).collect();
+                let edited = opened.surfaces().filter(|(_, surface)| surface.last_edit > 0);
+                let views = edited.map(|(number, surface)| (number, surface.view.clone())).collect();
                 resolve_step(self.backend.clone(), stepping.volume.clone(), views)
             }
             (None, None) => return,
@@ -247,8 +251,8 @@ impl<B: Backend> Session<B> {
         view.feature_range = view.feature_range.or(resolved.feature_range);
         // The view was resolved for a time step that is not in force any more. Its values stay, but its samples must also be loaded for the
         // step in force.
-        if pending.at.key() != in_force.key() {
-            (pending.view, pending.at) = (view, in_force);
+        if pending.step.key() != in_force.key() {
+            (pending.view, pending.step) = (view, in_force);
             return;
         }
         self.come_into_force(surface, view, budget_edit, edit, makes_surface);
@@ -256,8 +260,8 @@ impl<B: Backend> Session<B> {
         self.lead_or_follow();
     }
 
-    /// Handles an error that a retry may avoid. A view of a time step that is not in force any more is resolved for the one in force. Any
-    /// other waits for the next edit.
+    /// Handles an error that a retry may avoid. If the view was to be resolved for a time step that is no longer in force, the view is
+    /// resolved for the step in force next. Otherwise the view waits for the next edit.
     fn pause_resolving(&mut self, surface: u8, error: &WorkError) {
         let Some(opened) = &mut self.opened else { return };
         let in_force = opened.volume.clone();
@@ -265,12 +269,15 @@ impl<B: Backend> Session<B> {
         let Some(pending) = session.and_then(|session| session.pending.as_mut()) else {
             return;
         };
-        if pending.at.key() == in_force.key() {
+        if pending.step.key() == in_force.key() {
             pending.is_paused = true;
             self.send_surface_error(surface, error.code(), error.public_message());
         } else {
-            tracing::debug!(error = chain(error), "a time step that was overtaken gives no values");
-            pending.at = in_force;
+            tracing::debug!(
+                error = chain(error),
+                "a view could not be resolved for a time step that is no longer in force"
+            );
+            pending.step = in_force;
         }
     }
 
@@ -342,8 +349,8 @@ impl<B: Backend> Session<B> {
 }
 
 impl OpenVolume {
-    /// Stores the view of an edit until it is resolved. `edit`: number of the edit. `waiting`: the edit itself; without it, the edits of the
-    /// view cannot be applied one by one.
+    /// Stores the view of an edit until the view is resolved. `edit`: number of the edit. `waiting`: the edit itself; if it is `None`, the
+    /// edits that led to the view cannot be applied one by one.
     pub(super) fn hold_back(
         &mut self,
         number: u8,
@@ -352,28 +359,28 @@ impl OpenVolume {
         edit: u64,
         waiting: Option<WaitingEdit>,
     ) {
-        let at = waiting
+        let step = waiting
             .as_ref()
-            .map_or_else(|| self.newest_step().clone(), |waiting| waiting.at.clone());
+            .map_or_else(|| self.newest_step().clone(), |waiting| waiting.step.clone());
         let view_in_force = self.view_of(number);
         let surface = self.surface_or_new(number, view_in_force);
         let before = surface.pending.take();
         // A range that an earlier edit left open is still resolved for that edit's time step, unless this edit has another feature.
-        let at = match &before {
-            Some(before) if before.leaves_range_open(&view) => before.at.clone(),
-            _ => at,
+        let step = match &before {
+            Some(before) if before.leaves_range_open(&view) => before.step.clone(),
+            _ => step,
         };
         let makes_surface = waiting.as_ref().is_none_or(|waiting| waiting.makes_surface);
         let is_first = before.is_none();
         let mut edits = before.map_or_else(Vec::new, |before| before.edits);
-        // Once an edit is missing from the list, the list stays empty.
+        // An incomplete list could not be applied one by one, so once an edit is missing, the list stays empty.
         match waiting {
             Some(waiting) if is_first || (1..MAX_WAITING_EDITS).contains(&edits.len()) => edits.push(waiting),
             _ => edits.clear(),
         }
         surface.pending = Some(PendingView {
             view,
-            at,
+            step,
             budget_edit,
             edit,
             makes_surface,
@@ -383,12 +390,12 @@ impl OpenVolume {
         });
     }
 
-    /// After a time step has failed: views that were to be resolved for that step are resolved for the step in force instead.
+    /// After a time step has failed, redirects the views that were to be resolved for that step to the step in force.
     fn resolve_for_step_in_force(&mut self, failed: &StepKey) {
         let in_force = self.volume.clone();
         let pending = self.surfaces_mut().filter_map(|(_, surface)| surface.pending.as_mut());
-        for pending in pending.filter(|pending| pending.at.key() == *failed) {
-            pending.at = in_force.clone();
+        for pending in pending.filter(|pending| pending.step.key() == *failed) {
+            pending.step = in_force.clone();
         }
     }
 }
@@ -399,7 +406,7 @@ fn resolve_view<B: Backend>(backend: B, surface: u8, requested: PendingView) -> 
     let guard = token.clone().drop_guard();
     Box::pin(async move {
         let _guard = guard;
-        let result = backend.resolve(&requested.at, &requested.view, &token).await;
+        let result = backend.resolve(&requested.step, &requested.view, &token).await;
         Resolved::View {
             surface,
             requested: Box::new(requested),

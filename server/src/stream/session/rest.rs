@@ -1,4 +1,4 @@
-//! Work at rest, for a final surface that no edit follows: it is replaced by a better one, if there is one, and then its error is measured.
+//! Work at rest, for a final surface that no edit follows: a better surface replaces it, if there is one, and then its error is measured.
 
 use std::time::Duration;
 
@@ -9,7 +9,7 @@ use tokio_util::sync::{CancellationToken, DropGuard};
 
 use super::generation::Generation;
 
-/// Time without an edit after which a viewer counts as resting. Longer than the time between two edits during a drag.
+/// Time without an edit after which a viewer counts as resting. It is longer than the time between two edits during a drag.
 pub(super) const REST_AFTER: Duration = Duration::from_millis(250);
 
 /// Work for a viewer that rests.
@@ -23,12 +23,13 @@ pub(super) enum RestWork {
 
 /// A final surface whose viewer may rest. Dropping it cancels the work at rest.
 pub(super) struct Rest {
+    /// Number of the generation that has made the surface.
     pub generation: u32,
     pub view: View,
     /// Key of `view`.
     pub key: ViewKey,
     due: Instant,
-    /// The work that is next, queued or running.
+    /// The work that is next or queued, or that runs.
     work: RestWork,
     is_queued: bool,
     pub token: CancellationToken,

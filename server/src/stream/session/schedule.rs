@@ -29,14 +29,14 @@ pub(super) enum NextJob {
 impl OpenVolume {
     /// Returns the next job and its surface. `jobs`: number of jobs that the connection has had.
     pub(super) fn next_job(&self, jobs: u64, pace: &Pace) -> Option<(u8, NextJob)> {
-        let last_edited = self.surfaces().max_by_key(|(_, surface)| surface.edited)?.0;
+        let last_edited = self.surfaces().max_by_key(|(_, surface)| surface.last_edit)?.0;
         let steps: Vec<_> = self
             .surfaces()
             .filter_map(|(number, surface)| {
                 let generation = surface.generation()?;
                 Some((
                     number,
-                    self.next_of(number, generation, pace)?,
+                    self.next_job_of(number, generation, pace)?,
                     generation.waiting_since_job,
                 ))
             })
@@ -56,7 +56,7 @@ impl OpenVolume {
     }
 
     /// Returns the next job of a generation; `None` if it has to wait.
-    fn next_of(&self, number: u8, generation: &Generation, pace: &Pace) -> Option<NextJob> {
+    fn next_job_of(&self, number: u8, generation: &Generation, pace: &Pace) -> Option<NextJob> {
         let is_ready = matches!(generation.making, Making::Waiting) && generation.failure.is_none();
         if !is_ready || self.encodes_first_step() {
             return None;
@@ -69,16 +69,16 @@ impl OpenVolume {
             };
         }
         // The size of a further step depends on the speed of the line, which is known after the pong of the first step.
-        let measuring_line = !pace.is_line_known() && (self.sending().is_some() || pace.is_line_full());
-        let is_waiting = measuring_line || generation.is_overtaken || self.draw_pause_until().is_some();
+        let is_measuring_line = !pace.is_line_known() && (self.sending().is_some() || pace.is_line_full());
+        let is_waiting = is_measuring_line || generation.is_overtaken || self.draw_pause_until().is_some();
         (!is_waiting).then_some(NextJob::Further)
     }
 
-    /// Whether the first step of a generation is being encoded on processors that the device uses too. Until that is done no other job
-    /// starts, as it would take processors from the pool.
+    /// Whether the first step of a generation is being encoded on processors that the device uses too. Meanwhile no other job starts,
+    /// because it would take processors from the pool.
     fn encodes_first_step(&self) -> bool {
         let is_encoding = |generation: &Generation| {
-            !generation.committed && matches!(generation.sending, Sending::Comparing(_) | Sending::Encoding { .. })
+            !generation.has_committed && matches!(generation.sending, Sending::Comparing(_) | Sending::Encoding { .. })
         };
         self.shares_processors
             && self
@@ -94,13 +94,13 @@ impl OpenVolume {
         pauses.min()
     }
 
-    /// Returns work at rest that is due, while no surface is worked on.
+    /// Returns work at rest that is due, if no other work is pending.
     fn next_rest(&self) -> Option<(u8, NextJob)> {
         let due = self.rests().filter(|(_, due, _)| *due <= Instant::now());
         let next = due.min_by_key(|(number, _, work)| {
             (
                 *work,
-                Reverse(self.surface(*number).map_or(0, |surface| surface.edited)),
+                Reverse(self.surface(*number).map_or(0, |surface| surface.last_edit)),
             )
         });
         next.map(|(number, _, work)| (number, NextJob::Rest(work)))
@@ -112,6 +112,7 @@ impl OpenVolume {
         rests.chain(self.description_due()).min()
     }
 
+    /// Returns each surface whose work at rest is not queued yet, with the due time and the work. Empty while other work is pending.
     fn rests(&self) -> impl Iterator<Item = (u8, Instant, RestWork)> {
         let is_busy = self.is_awaited();
         self.surfaces().filter_map(move |(number, surface)| {
@@ -120,16 +121,17 @@ impl OpenVolume {
         })
     }
 
-    /// Returns the surface whose step is the next to be sent or given up: the one whose generation has waited longest, among those whose
-    /// verdict is not [`Verdict::Wait`].
-    pub(super) fn next_made(&self) -> Option<(u8, Verdict)> {
-        let made = self.surfaces().filter_map(|(number, surface)| {
+    /// Returns the surface whose finished step is sent or given up next, with the verdict. Among the surfaces whose verdict is not
+    /// [`Verdict::Wait`], the surface whose generation has waited longest is next.
+    pub(super) fn next_made_step(&self) -> Option<(u8, Verdict)> {
+        let candidates = self.surfaces().filter_map(|(number, surface)| {
             let generation = surface.generation()?;
             let verdict = self.verdict(number);
             let is_next = matches!(generation.making, Making::Made(_)) && verdict != Verdict::Wait;
             is_next.then_some((generation.waiting_since_job, number, verdict))
         });
-        made.min_by_key(|(since, ..)| *since)
+        candidates
+            .min_by_key(|(since, ..)| *since)
             .map(|(_, number, verdict)| (number, verdict))
     }
 }

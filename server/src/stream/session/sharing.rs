@@ -1,9 +1,9 @@
-//! How surfaces share the connection's budget: those that have a budget get parts in proportion to the triangles of their full surfaces. So
-//! the parts depend only on the full surfaces, and an edit that changes no full surface affects no other surface's part.
+//! Divides the connection's budget between surfaces. Each surface with a budget gets a part in proportion to the triangles of its full
+//! surface. So the parts depend only on the full surfaces, and an edit that changes no full surface affects no other surface's part.
 //!
-//! Failures do not change the parts either. A surface whose generation failed keeps its part, and is retried when its part changes. If
-//! others share the budget and the client holds more of the failed surface than its part, its regions are removed. A surface whose
-//! generation was cancelled stays as it was, and its size at the client is reserved.
+//! Failures do not change the parts either. A surface whose generation failed keeps its part, and is retried when the part changes. If
+//! others share the budget and the client holds more of the failed surface than that part, the client's regions of the surface are removed.
+//! A surface whose generation was cancelled stays as it was, and its size at the client is reserved.
 
 use isopeel_codec::chunk::MAX_SURFACES;
 use isopeel_view::quality::Budget;
@@ -22,8 +22,8 @@ pub(super) enum Verdict {
     GiveUp,
 }
 
-/// The sum, saturated at [`u64::MAX`].
-fn total(numbers: impl Iterator<Item = u64>) -> u64 {
+/// Returns the sum, saturated at [`u64::MAX`].
+fn saturating_sum(numbers: impl Iterator<Item = u64>) -> u64 {
     numbers.fold(0, u64::saturating_add)
 }
 
@@ -36,7 +36,7 @@ impl SurfaceSession {
         self.view.budget.is_some() && (self.is_busy() || self.is_counted())
     }
 
-    /// Whether the triangles of the full surface of its view are known.
+    /// Whether the triangles of the full surface of the current view are known.
     fn is_counted(&self) -> bool {
         let key = match self.generation() {
             Some(generation) => Some(generation.key.surface()),
@@ -52,10 +52,10 @@ impl SurfaceSession {
         self.full.as_ref().map_or(0, |(_, triangles)| *triangles)
     }
 
-    /// If the surface has no part of the budget: its size at the client, in the budget's unit; otherwise 0. The other surfaces share the
-    /// budget less this size.
+    /// Returns the surface's size at the client, in the budget's unit, if the surface has no part of the budget; otherwise 0. The other
+    /// surfaces share the budget less this size.
     fn reserved(&self) -> u64 {
-        if self.shares() { 0 } else { self.held_of_budget() }
+        if self.shares() { 0 } else { self.held_size() }
     }
 
     /// Whether the surface has failed, so that its regions are being removed from the client.
@@ -63,18 +63,18 @@ impl SurfaceSession {
         self.generation().is_some_and(|generation| generation.failure.is_some())
     }
 
-    /// Size of the surface that the client holds, in the budget's unit.
-    fn held_of_budget(&self) -> u64 {
-        match (self.view.budget, self.kept) {
+    /// Returns the size of the surface that the client holds, in the budget's unit.
+    fn held_size(&self) -> u64 {
+        match (self.view.budget, self.held_budget) {
             (Some(Budget::Triangles(_)), _) => self.held_triangles,
-            (Some(Budget::Bytes(_)), Some(Budget::Bytes(kept))) if !self.held.is_empty() => kept,
+            (Some(Budget::Bytes(_)), Some(Budget::Bytes(bytes))) if !self.held.is_empty() => bytes,
             _ => 0,
         }
     }
 
-    /// Whether the surface failed before its triangles were counted, and may be retried to get a part of the budget. Clears that permission
-    /// to retry.
-    fn lacks_part(&mut self) -> bool {
+    /// Whether the surface failed before its triangles were counted, and may be retried to get a part of the budget. If so, clears the
+    /// permission to retry.
+    fn take_retry_for_part(&mut self) -> bool {
         let is_uncounted = self.view.budget.is_some() && !self.is_busy() && !self.is_counted();
         let failed = self.failed.as_mut().filter(|_| is_uncounted);
         failed.is_some_and(|failed| std::mem::take(&mut failed.may_retry))
@@ -84,13 +84,13 @@ impl SurfaceSession {
     fn holds_more(&self) -> bool {
         let part = self.allotted.map(|part| part.as_number(self.full_triangles()));
         match part {
-            Some(Budget::Triangles(part)) => self.held_of_budget() > part.of(self.full_triangles()),
-            Some(Budget::Bytes(part)) => self.held_of_budget() > part,
+            Some(Budget::Triangles(part)) => self.held_size() > part.of(self.full_triangles()),
+            Some(Budget::Bytes(part)) => self.held_size() > part,
             None => false,
         }
     }
 
-    /// Whether budget `one` of this surface allows more than `other`. False if one counts triangles and the other bytes.
+    /// Whether the budget `one` allows more of this surface than `other`. False if one limits triangles and the other bytes.
     fn exceeds(&self, one: Option<Budget>, other: Option<Budget>) -> bool {
         let full = self.full_triangles();
         let as_number = |budget: Option<Budget>| match budget?.as_number(full) {
@@ -104,16 +104,16 @@ impl SurfaceSession {
         }
     }
 
-    /// Whether the client may get a smaller surface than it has, or is about to get.
+    /// Whether the client may get a smaller surface than the one that it holds or that is being made.
     fn shrinks(&self) -> bool {
         let made_with = self.generation().and_then(|generation| generation.view.budget);
-        let gets_less = || self.exceeds(self.kept, self.allotted) || self.exceeds(made_with, self.allotted);
+        let gets_less = || self.exceeds(self.held_budget, self.allotted) || self.exceeds(made_with, self.allotted);
         self.is_leaving() || self.shares() && self.is_busy() && gets_less()
     }
 }
 
 impl OpenVolume {
-    /// Whether two surfaces or more have a part of the budget, so that their triangles must be known first.
+    /// Whether two or more surfaces have a part of the budget, so that their triangles must be counted first.
     fn is_budget_shared(&self) -> bool {
         self.surfaces().filter(|(_, surface)| surface.shares()).count() > 1
     }
@@ -128,43 +128,43 @@ impl OpenVolume {
         surface.shares() && self.allotments().is_none()
     }
 
-    /// The triangles of all surfaces that share the budget; `None` if fewer than two share it, or if not all are counted.
+    /// Returns the triangles of all surfaces that share the budget; `None` if fewer than two share it, or if not all are counted.
     pub(super) fn shared_triangles(&self) -> Option<u64> {
         let sharing = || self.surfaces().filter(|(_, surface)| surface.shares());
         let is_known = self.is_budget_shared() && sharing().all(|(_, surface)| surface.is_counted());
-        is_known.then(|| total(sharing().map(|(_, surface)| surface.full_triangles())))
+        is_known.then(|| saturating_sum(sharing().map(|(_, surface)| surface.full_triangles())))
     }
 
-    /// Size at the client of all surfaces without a part of the budget.
+    /// Returns the size at the client of all surfaces without a part of the budget.
     fn reserved(&self) -> u64 {
-        total(self.surfaces().map(|(_, surface)| surface.reserved()))
+        saturating_sum(self.surfaces().map(|(_, surface)| surface.reserved()))
     }
 
     /// Returns the part of each surface; `None` until all surfaces that share the budget are counted.
     pub(super) fn allotments(&self) -> Option<Allotments> {
-        let all = self.shared_triangles();
-        if self.is_budget_shared() && all.is_none() {
+        let shared_triangles = self.shared_triangles();
+        if self.is_budget_shared() && shared_triangles.is_none() {
             return None;
         }
         let reserved = self.reserved();
         let mut allotments = Allotments::default();
         for (number, surface) in self.surfaces().filter(|(_, surface)| surface.shares()) {
-            let part = |budget: Budget| {
-                let left = budget.without(reserved);
-                all.map_or(left, |all| left.part(surface.full_triangles(), all))
+            let part_of = |budget: Budget| {
+                let available = budget.without(reserved);
+                shared_triangles.map_or(available, |all| available.part(surface.full_triangles(), all))
             };
-            allotments[usize::from(number)] = surface.view.budget.map(part);
+            allotments[usize::from(number)] = surface.view.budget.map(part_of);
         }
         Some(allotments)
     }
 
-    /// Returns the failed surfaces that are retried although their parts are unchanged: the client may no longer keep their regions, or the
-    /// budget to suggest has changed.
-    pub(super) fn outdated(&self) -> Vec<u8> {
-        let all = self.shared_triangles();
+    /// Returns the failed surfaces that are retried although their parts are unchanged, because the client may no longer keep their
+    /// regions or because the budget to suggest has changed.
+    pub(super) fn failed_to_retry(&self) -> Vec<u8> {
+        let shared_triangles = self.shared_triangles();
         let is_outdated = |number: u8, surface: &SurfaceSession| {
             let failed = surface.failed.filter(|_| surface.shares() && !surface.is_busy());
-            failed.is_some_and(|failed| failed.shared_triangles != all || !self.may_stay(number))
+            failed.is_some_and(|failed| failed.shared_triangles != shared_triangles || !self.may_stay(number))
         };
         let outdated = self
             .surfaces()
@@ -172,7 +172,7 @@ impl OpenVolume {
         outdated.map(|(number, _)| number).collect()
     }
 
-    /// Returns the budget of all surfaces together that gives this surface `part` triangles.
+    /// Returns the budget of all surfaces together of which this surface's part is `part` triangles.
     pub(super) fn whole_of(&self, number: u8, part: u64) -> u64 {
         let whole = match (self.surface(number), self.shared_triangles()) {
             (Some(surface), Some(all)) => Budget::whole_of(part, surface.full_triangles(), all),
@@ -185,8 +185,9 @@ impl OpenVolume {
     /// part of a budget that others share.
     pub(super) fn may_stay(&self, number: u8) -> bool {
         let held = self.surface(number).filter(|surface| !surface.held.is_empty());
-        let is_taken = |surface: &SurfaceSession| self.is_budget_shared() && surface.shares() && surface.holds_more();
-        held.is_none_or(|surface| !surface.holds_another_step && !is_taken(surface))
+        let exceeds_part =
+            |surface: &SurfaceSession| self.is_budget_shared() && surface.shares() && surface.holds_more();
+        held.is_none_or(|surface| !surface.holds_another_step && !exceeds_part(surface))
     }
 
     /// Allows failed surfaces to be retried. Called when something other than their views has changed.
@@ -196,32 +197,32 @@ impl OpenVolume {
     }
 
     /// Returns the surfaces that failed before they were counted, and are to be counted now because others share the budget.
-    pub(super) fn lacking(&mut self) -> Vec<u8> {
+    pub(super) fn uncounted_to_retry(&mut self) -> Vec<u8> {
         if !self.surfaces().any(|(_, surface)| surface.shares()) {
             return Vec::new();
         }
         let surfaces = self.surfaces_mut();
         surfaces
-            .filter_map(|(number, surface)| surface.lacks_part().then_some(number))
+            .filter_map(|(number, surface)| surface.take_retry_for_part().then_some(number))
             .collect()
     }
 
     /// Decides whether a step that was made is sent. A final surface that takes more of the budget than the one before waits until the
-    /// surfaces that take less are committed, so that all together never exceed it.
+    /// surfaces that take less are committed, so that all surfaces together never exceed the budget.
     pub(super) fn verdict(&self, number: u8) -> Verdict {
         let surface = self.surface(number);
         let Some((surface, generation)) = surface.and_then(|surface| Some((surface, surface.generation()?))) else {
             return Verdict::Send;
         };
-        let is_final = matches!(&generation.making, Making::Made(made) if made.step.made.is_final);
+        let is_final = matches!(&generation.making, Making::Made(offered) if offered.step.refinement.is_final);
         let made_with = generation.view.budget;
         let is_superseded = is_final && surface.shares() && surface.edit_pending;
-        // Other surfaces may have got this surface's former part meanwhile, so its step is given up. The step of a single surface is sent,
-        // so that the viewer sees something while they drag the budget down.
+        // Other surfaces may have got this surface's former part meanwhile, so the step is dropped. If there is only one surface, the step
+        // is sent, so that the viewer sees changes while they reduce the budget by dragging.
         if is_superseded && self.surfaces().count() > 1 && surface.exceeds(made_with, surface.allotted) {
             return Verdict::GiveUp;
         }
-        let grows = is_final && surface.shares() && surface.exceeds(made_with, surface.kept);
+        let grows = is_final && surface.shares() && surface.exceeds(made_with, surface.held_budget);
         let others_shrink = || {
             self.surfaces()
                 .any(|(other, surface)| other != number && surface.shrinks())
@@ -229,7 +230,7 @@ impl OpenVolume {
         if !grows || !others_shrink() {
             return Verdict::Send;
         }
-        // A surface that has to shrink itself gives its step up instead of waiting: two surfaces that waited for each other would deadlock.
+        // A surface that has to shrink itself drops its step instead of waiting: two surfaces that waited for each other would deadlock.
         match surface.exceeds(made_with, surface.allotted) {
             true => Verdict::GiveUp,
             false => Verdict::Wait,

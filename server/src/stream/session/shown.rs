@@ -1,4 +1,4 @@
-//! Relation of the surface that a client holds to the next one.
+//! Relates the surface that a client holds to the next surface.
 
 use isopeel_view::View;
 use isopeel_view::quality::MesherName;
@@ -21,10 +21,10 @@ impl HeldSurface {
         if !self.key.has_triangles_of(key) {
             return Shown::Another;
         }
-        // Regions can be kept only if both surfaces are of the dual mesher, because the other mesher makes whole surfaces. A change of the
+        // Regions can stay only if the dual mesher makes both surfaces, because the other mesher makes whole surfaces. A change of the
         // feature affects every vertex.
-        let by_region = |view: &View| view.mesher == MesherName::Dual;
-        if self.key.has_vertices_of(key) && by_region(&self.view) && by_region(view) {
+        let is_dual = |view: &View| view.mesher == MesherName::Dual;
+        if self.key.has_vertices_of(key) && is_dual(&self.view) && is_dual(view) {
             Shown::Cut(self.cut)
         } else {
             Shown::Alike

@@ -16,18 +16,18 @@ use super::shown::HeldSurface;
 pub(super) struct SurfaceSession {
     /// The view in force: resolved, with all samples that it uses loaded. Its budget is that of the connection.
     pub view: View,
-    /// Whether the surface exists since the volume was opened, without an edit.
+    /// Whether the surface was created with the opening of the volume, not by an edit.
     pub is_opening: bool,
     /// Key of the view's full surface, once the view has come into force.
     pub key: Option<SurfaceKey>,
     /// Edits that have not come into force yet.
     pub pending: Option<PendingView>,
-    /// The last view in force of which the device has made something.
+    /// The last view in force of which the device has counted or made a surface.
     pub proven: Option<View>,
     /// Whether the view in force or the surface's part of the budget has changed since the last generation began.
     pub edit_pending: bool,
     /// Number, among the connection's edits, of the last edit of this surface that came into force.
-    pub edited: u64,
+    pub last_edit: u64,
     pub phase: Phase,
     /// Regions that the client holds.
     pub held: Arc<HeldRegions>,
@@ -39,10 +39,10 @@ pub(super) struct SurfaceSession {
     pub shown_generation: u32,
     /// The newest full surface whose triangles were counted, and their number.
     pub full: Option<(SurfaceKey, u64)>,
-    /// The surface's part of the budget. The newest or the next generation is made with it.
+    /// The surface's part of the budget, for the newest or the next generation.
     pub allotted: Option<Budget>,
-    /// The budget with which the last final surface at the client was made, as an absolute number.
-    pub kept: Option<Budget>,
+    /// The budget of the last final surface that the client got, as an absolute number of triangles or bytes.
+    pub held_budget: Option<Budget>,
     /// Set if the last generation of the view in force failed.
     pub failed: Option<Failed>,
     /// Whether the regions that the client holds are of another time step.
@@ -54,7 +54,7 @@ pub(super) struct SurfaceSession {
 pub(super) struct Failed {
     /// Triangles of all surfaces that shared the budget at that time: the suggested budget depends on them.
     pub shared_triangles: Option<u64>,
-    /// Whether a retry may help, because something has changed since, or because its part of the budget may change.
+    /// Whether a retry may help, because something has changed since the failure, or because the surface's part of the budget may change.
     pub may_retry: bool,
 }
 
@@ -77,7 +77,7 @@ impl SurfaceSession {
             pending: None,
             proven: None,
             edit_pending: false,
-            edited: 0,
+            last_edit: 0,
             phase: Phase::Idle,
             held: Arc::default(),
             held_triangles: 0,
@@ -85,7 +85,7 @@ impl SurfaceSession {
             shown_generation: 0,
             full: None,
             allotted: None,
-            kept: None,
+            held_budget: None,
             failed: None,
             holds_another_step: false,
         }
@@ -119,7 +119,8 @@ impl SurfaceSession {
         }
     }
 
-    /// Begins the generation of the view, whose full surface has this key. `first_step`: the guard of a member of a group.
+    /// Begins a generation of the view in force. `key`: key of the view's full surface. `jobs`: number of the connection's jobs so far.
+    /// `first_step`: guard of a member of a group.
     pub(super) fn begin(
         &mut self,
         surface: u8,
@@ -130,7 +131,8 @@ impl SurfaceSession {
     ) {
         let mut view = self.view.clone();
         view.budget = view.budget.and(self.allotted.or(view.budget));
-        // The regions that differ are replaced at once: an intermediate coarse surface would send all of them twice.
+        // After a change of the time step the regions that differ are replaced in one step. An intermediate coarse surface would send all
+        // of them twice.
         let shown = match (&self.shown, self.holds_another_step) {
             (_, true) => Shown::Alike,
             (None, false) => Shown::Another,
@@ -148,13 +150,14 @@ impl SurfaceSession {
 
     /// Switches to another time step of the volume. All values in force stay, including the range of the feature. A surface that an edit
     /// has requested is made again.
-    pub(super) fn step(&mut self) {
+    pub(super) fn switch_step(&mut self) {
         self.holds_another_step |= !self.held.is_empty();
         (self.shown, self.shown_generation, self.full, self.key) = (None, 0, None, None);
-        self.edit_pending = self.edited > 0;
+        self.edit_pending = self.last_edit > 0;
     }
 
-    /// Ends the work for this surface. Dropping a generation or a rest cancels its token; the device's job returns later.
+    /// Ends the work for this surface, and returns the generation if there was one. Dropping a generation or a [`Rest`] cancels its token;
+    /// the device's job returns later.
     pub(super) fn stop(&mut self) -> Option<Box<Generation>> {
         match std::mem::replace(&mut self.phase, Phase::Idle) {
             Phase::Working(generation) => Some(generation),
@@ -162,8 +165,8 @@ impl SurfaceSession {
         }
     }
 
-    /// Marks the generation's view as valid, because the device has made a surface of it.
-    pub(super) fn prove(&mut self) {
+    /// Marks the view in force as valid, because the device has counted or made a surface of it.
+    pub(super) fn mark_proven(&mut self) {
         if !self.edit_pending {
             self.proven = Some(self.view.clone());
         }
@@ -176,7 +179,7 @@ impl SurfaceSession {
 
     /// Whether the surface was added by an edit that has not come into force yet.
     pub(super) fn is_new(&self) -> bool {
-        self.edited == 0 && !self.is_opening
+        self.last_edit == 0 && !self.is_opening
     }
 
     /// Whether the surface still has a generation to finish, or an edit that has not come into force.

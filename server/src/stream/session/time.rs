@@ -1,6 +1,6 @@
 //! Time steps. A client that goes to another step of the open volume keeps its surfaces, and regions that are equal in both steps are not
 //! sent again. A step comes into force when all surfaces can be made of it (`resolving`). If the client goes on in equal strides, the
-//! session prefetches the next step. It describes the values of a step when the viewer rests.
+//! session prefetches the next step. When the viewer rests, the session describes the values of the step.
 
 use std::sync::Arc;
 
@@ -20,7 +20,7 @@ use super::pending::PendingStep;
 use super::rest::REST_AFTER;
 use crate::wire::messages::ServerMessage;
 
-/// Maximum stride between two consecutive steps for which the next step is predicted.
+/// Maximum stride, in time steps, for which the next step is predicted. A longer one is more likely a jump than playback.
 const MAX_STRIDE: u32 = 4;
 
 /// A time step that is being prefetched. Dropping it cancels the prefetch.
@@ -41,8 +41,8 @@ pub(super) async fn read_ahead(ahead: &mut Option<Ahead>) {
     }
 }
 
-/// Returns the step that is expected after the client went from `from` to `to`: the same stride further. After the last step it is the
-/// first one.
+/// Predicts the step that follows after the client went from `from` to `to`: the same stride further, or the first step after the last
+/// one.
 fn expected(from: u32, to: u32, steps: u32) -> Option<u32> {
     if to == 0 && from > 1 && from == steps - 1 {
         return Some(1);
@@ -86,12 +86,12 @@ impl<B: Backend> Session<B> {
     fn go_to(&mut self, volume: VolumeStep) {
         if let Some(opened) = &mut self.opened {
             opened.postpone_rest();
-            let is_checked = opened.stepping.is_some();
+            let had_pending_step = opened.stepping.is_some();
             opened.stepping = Some(PendingStep {
                 volume,
                 cancelled_after: None,
             });
-            if is_checked {
+            if had_pending_step {
                 self.resolving = None;
             }
         }
@@ -119,7 +119,7 @@ impl<B: Backend> Session<B> {
             opened.expected = expected(opened.volume.step(), step, volume.dataset().steps);
             opened.step_to(volume, guard);
             for (_, surface) in opened.surfaces_mut() {
-                surface.edit_pending &= cancelled_after.is_none_or(|edits| surface.edited > edits);
+                surface.edit_pending &= cancelled_after.is_none_or(|edits| surface.last_edit > edits);
             }
         }
         if let Some(opened) = &mut self.opened {
@@ -149,7 +149,7 @@ impl<B: Backend> Session<B> {
         });
     }
 
-    /// Starts to describe the current step, if no other work is pending. Returns whether it did.
+    /// Starts to describe the current step, if no other work is pending. Returns whether the description was started.
     pub(super) fn start_describing(&mut self) -> bool {
         let Some(opened) = &mut self.opened else { return false };
         if opened.description_due().is_none_or(|due| due > Instant::now()) {
@@ -172,7 +172,7 @@ impl<B: Backend> Session<B> {
         };
         match result {
             Ok(volume) => self.send(&ServerMessage::Described { volume, step }),
-            // An edit has cancelled the description: it is made later.
+            // An edit has cancelled the description, which is made later.
             Err(WorkError::Cancelled) => opened.undescribed_since = Some(Instant::now()),
             Err(error) => self.send_work_error(&error),
         }
@@ -180,8 +180,8 @@ impl<B: Backend> Session<B> {
 }
 
 impl OpenVolume {
-    /// Switches to another step of the same volume. The surfaces are made again of that step with unchanged views, and each changes in one
-    /// commit.
+    /// Switches to another step of the same volume. The surfaces are made again of that step with unchanged views. Each surface changes in
+    /// one commit.
     fn step_to(&mut self, volume: VolumeStep, step_guard: OpenStepGuard) {
         self.volume = volume;
         self.step_guard = step_guard;
@@ -189,7 +189,7 @@ impl OpenVolume {
         self._cancel_step = self.step_token.clone().drop_guard();
         self.undescribed_since = Some(Instant::now());
         for (_, surface) in self.surfaces_mut() {
-            surface.step();
+            surface.switch_step();
         }
     }
 

@@ -8,17 +8,17 @@ pub(super) struct ConnectionId(u32);
 
 impl ConnectionId {
     pub(super) fn random() -> Self {
-        // Without random numbers all connections share one id: traces are a convenience, not a proof of identity.
+        // If the system has no random numbers, all connections share one id. That is harmless, because traces only help to read the log.
         Self(getrandom::u32().unwrap_or(0))
     }
 
-    /// The trace of a generation.
+    /// Returns the trace of a generation.
     pub(super) fn trace(self, generation: u32) -> Trace {
         Trace(self, generation)
     }
 }
 
-/// An edit, as `done` and the log have it: 16 hexadecimal digits.
+/// Id of an edit in `done` and in the log: 16 hexadecimal digits.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Trace(ConnectionId, u32);
 

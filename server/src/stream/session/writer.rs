@@ -13,6 +13,7 @@ use super::{Outgoing, Session};
 use crate::stream::backend::Backend;
 
 impl<B: Backend> Session<B> {
+    /// Returns the generation of a surface.
     fn generation(&mut self, surface: u8) -> Option<&mut Generation> {
         self.opened.as_mut()?.surface_mut(surface)?.generation_mut()
     }
@@ -21,7 +22,7 @@ impl<B: Backend> Session<B> {
     pub(super) fn on_writer_ready(&mut self, permit: mpsc::Permit<'_, Outgoing>) {
         let bytes = self.outbox.next_bytes().unwrap_or(0);
         let frame = self.outbox.pop_front();
-        if let Some(ping) = self.line.took(bytes) {
+        if let Some(ping) = self.line.record_frame(bytes) {
             self.outbox.push_front(Frame::Ping(ping));
         }
         match frame {
@@ -62,15 +63,15 @@ impl<B: Backend> Session<B> {
         session.shown = Some(generation.surface_after(sent.cut));
         session.shown_generation = generation.number;
         session.holds_another_step = false;
-        generation.committed = true;
+        generation.has_committed = true;
         generation.can_improve = sent.can_improve;
-        let ends = generation.is_overtaken && !sent.is_final;
+        let is_superseded = generation.is_overtaken && !sent.is_final;
         let has_failed = generation.failure.is_some();
         if has_failed && session.held.is_empty() {
-            (session.shown, session.kept) = (None, None);
+            (session.shown, session.held_budget) = (None, None);
         }
         if sent.is_final {
-            session.kept = generation
+            session.held_budget = generation
                 .view
                 .budget
                 .map(|budget| budget.as_number(session.full_triangles()));
@@ -79,7 +80,7 @@ impl<B: Backend> Session<B> {
             .pace
             .record_sent(sent.bytes, sent.handed_over.unwrap_or(sent.began));
         self.outbox.push_front(Frame::Ping(ping));
-        if ends {
+        if is_superseded {
             self.end_generation(surface);
         } else if has_failed {
             self.end_failed(surface);

@@ -1,4 +1,5 @@
-//! Cache of steps, chunks and measured errors, for later equal requests. It has a budget of bytes and evicts the least recently used entry.
+//! Cache of steps, chunks and measured errors, for later equal requests. The cache has a budget of bytes and evicts the least recently used
+//! entry.
 
 use std::hash::Hash;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
@@ -9,13 +10,13 @@ use isopeel_volumes::DatasetKey;
 use lru::LruCache;
 
 use super::RequestKey;
-use super::step::{ChunkKey, Chunks, RegionNote, SharedStep};
+use super::step::{ChunkKey, Chunks, RegionMetadata, SharedStep};
 use crate::metrics;
 
-/// The budget divided by this is the capacity for steps without their chunks, and again for measured errors. The rest is for chunks.
-const NOTES_PART: u64 = 16;
+/// The budget divided by this number is the capacity for steps without their chunks. Measured errors get as much, and chunks get the rest.
+const METADATA_DIVISOR: u64 = 16;
 
-/// Bytes that an entry takes beside its value: key, links and the table.
+/// Estimated bytes that an entry takes beside its value: for its key, its links and its slot in the table.
 const ENTRY_BYTES: u64 = 160;
 
 /// The cache of chunks, of the steps that they belong to, and of measured errors.
@@ -27,22 +28,23 @@ struct Entries {
     measured: Bounded<RequestKey, Arc<Measurement>>,
 }
 
-/// A cached step without its meshes. While a session still holds the step, `shared` refers to the complete one.
+/// A cached step without its meshes and chunks.
 struct CachedStep {
-    made: Refinement,
+    refinement: Refinement,
     volume: Arc<DatasetKey>,
-    regions: Vec<RegionNote>,
+    regions: Vec<RegionMetadata>,
+    /// The complete step, while a session still holds it.
     shared: Weak<SharedStep>,
 }
 
 impl ChunkCache {
-    /// `budget`: capacity in bytes; 0 caches nothing.
+    /// Creates a cache. `budget`: capacity in bytes; 0 caches nothing.
     pub(super) fn new(budget: u64) -> Self {
-        let notes = budget / NOTES_PART;
+        let metadata_bytes = budget / METADATA_DIVISOR;
         Self(Mutex::new(Entries {
-            chunks: Bounded::new(budget - 2 * notes),
-            steps: Bounded::new(notes),
-            measured: Bounded::new(notes),
+            chunks: Bounded::new(budget - 2 * metadata_bytes),
+            steps: Bounded::new(metadata_bytes),
+            measured: Bounded::new(metadata_bytes),
         }))
     }
 
@@ -54,51 +56,51 @@ impl ChunkCache {
     /// Returns a step if a session still holds it, or if all of its chunks are cached.
     pub(super) fn find_step(&self, key: &RequestKey) -> Option<Arc<SharedStep>> {
         let entries = &mut *self.entries();
-        let kept = entries.steps.get(key)?;
-        if let Some(shared) = kept.shared.upgrade() {
+        let entry = entries.steps.get(key)?;
+        if let Some(shared) = entry.shared.upgrade() {
             return Some(shared);
         }
-        let with_chunk = |note: &RegionNote| {
+        let with_chunk = |region: &RegionMetadata| {
             let key = ChunkKey {
-                volume: Arc::clone(&kept.volume),
-                coords: note.coords,
-                hash: note.hash.order,
+                volume: Arc::clone(&entry.volume),
+                coords: region.coords,
+                hash: region.hash.order,
             };
-            Some((*note, entries.chunks.get(&key)?.clone()))
+            Some((*region, entries.chunks.get(&key)?.clone()))
         };
-        let regions = kept.regions.iter().map(with_chunk).collect::<Option<_>>()?;
-        let cached = Arc::new(SharedStep::from_cache(
-            kept.made.clone(),
-            Arc::clone(&kept.volume),
+        let regions = entry.regions.iter().map(with_chunk).collect::<Option<_>>()?;
+        let step = Arc::new(SharedStep::from_cache(
+            entry.refinement.clone(),
+            Arc::clone(&entry.volume),
             regions,
         ));
-        kept.shared = Arc::downgrade(&cached);
-        Some(cached)
+        entry.shared = Arc::downgrade(&step);
+        Some(step)
     }
 
-    pub(super) fn keep_step(&self, key: RequestKey, step: &Arc<SharedStep>) {
-        let (made, volume, regions) = step.notes();
-        let bytes = key.bytes() + size_of::<CachedStep>() + regions.len() * size_of::<RegionNote>();
-        let kept = CachedStep {
-            made,
+    pub(super) fn insert_step(&self, key: RequestKey, step: &Arc<SharedStep>) {
+        let (refinement, volume, regions) = step.metadata();
+        let bytes = key.bytes() + size_of::<CachedStep>() + regions.len() * size_of::<RegionMetadata>();
+        let cached = CachedStep {
+            refinement,
             volume,
             regions,
             shared: Arc::downgrade(step),
         };
-        self.change(|entries| entries.steps.insert(key, bytes as u64, kept));
+        self.change(|entries| entries.steps.insert(key, bytes as u64, cached));
     }
 
     pub(super) fn find_measured(&self, key: &RequestKey) -> Option<Arc<Measurement>> {
         self.entries().measured.get(key).cloned()
     }
 
-    pub(super) fn keep_measured(&self, key: RequestKey, measured: &Arc<Measurement>) {
+    pub(super) fn insert_measured(&self, key: RequestKey, measured: &Arc<Measurement>) {
         let bytes = key.bytes() + measured.regions.len() * size_of::<([u32; 3], MeasuredError)>();
         let measured = Arc::clone(measured);
         self.change(|entries| entries.measured.insert(key, bytes as u64, measured));
     }
 
-    /// Evicts everything. Returns false if there was nothing.
+    /// Evicts all entries. Returns false if there were none.
     pub(super) fn clear(&self) -> bool {
         let mut had_any = false;
         self.change(|entries| {
@@ -122,7 +124,7 @@ impl Chunks for ChunkCache {
         self.entries().chunks.get(key).cloned()
     }
 
-    fn keep(&self, key: ChunkKey, chunk: &Bytes) {
+    fn insert(&self, key: ChunkKey, chunk: &Bytes) {
         self.change(|entries| entries.chunks.insert(key, chunk.len() as u64, chunk.clone()));
     }
 }
@@ -133,7 +135,7 @@ impl Entries {
     }
 }
 
-/// A cache of entries of some bytes each.
+/// An LRU cache with a budget of bytes. Each entry states its size.
 struct Bounded<K: Hash + Eq, V> {
     entries: LruCache<K, (u64, V)>,
     bytes: u64,
@@ -149,7 +151,7 @@ impl<K: Hash + Eq, V> Bounded<K, V> {
         }
     }
 
-    /// Marked as used.
+    /// Returns a value, and marks it as most recently used.
     fn get(&mut self, key: &K) -> Option<&mut V> {
         self.entries.get_mut(key).map(|(_, value)| value)
     }

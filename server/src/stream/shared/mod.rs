@@ -26,25 +26,26 @@ pub(super) use single_flight::Outcome;
 use single_flight::SingleFlight;
 pub(super) use step::{HeldRegion, HeldRegions, SharedStep};
 
-/// Maximum number of other viewers' jobs that a request waits for. If none of their steps suits its line, it starts its own job.
+/// Maximum number of other viewers' jobs that a request waits for. If none of their steps suits the viewer's line, the request starts its
+/// own job.
 const MAX_JOINED: usize = 2;
 
-/// An existing step is used if it has at most this many times the bytes that suit the viewer's line, because a smaller one would have to be
-/// made first.
+/// An existing step is used if it has at most this many times the bytes that suit the viewer's line. A smaller step would have to be made
+/// first, which takes time too.
 const MAX_LINE_FACTOR: u64 = 4;
-/// A step of at most this size suits any line.
+/// A step of at most this many bytes suits any line.
 const ANY_LINE_BYTES: u64 = 256 << 10;
-/// An existing step that is not final must have at least the bytes that suit the viewer's line, divided by this. Otherwise a step is made
-/// for this viewer.
-const MIN_LINE_PART: u64 = 8;
+/// An existing step that is not final must have at least the bytes that suit the viewer's line, divided by this number. A smaller step
+/// would waste the line, so a step is made for this viewer.
+const MIN_LINE_DIVISOR: u64 = 8;
 
-/// A request: the view of a surface, with the backend and volume to make it.
+/// A request for a result about a view's surface, with the backend and the volume to make it.
 #[derive(Clone)]
-pub(super) struct Wanted<B> {
+pub(super) struct SurfaceRequest<B> {
     pub backend: B,
     pub volume: VolumeStep,
     pub view: View,
-    /// The view's key.
+    /// Key of `view`.
     pub key: ViewKey,
 }
 
@@ -72,7 +73,7 @@ impl RequestKey {
     }
 }
 
-/// Clones share.
+/// Single-flight jobs and cached results of all viewers. Clones share them.
 #[derive(Clone)]
 pub(super) struct Shared(Arc<Inner>);
 
@@ -81,10 +82,10 @@ struct Inner {
     improved: SingleFlight<RequestKey, Option<Arc<SharedStep>>>,
     measured: SingleFlight<RequestKey, Option<Arc<Measurement>>>,
     counted: SingleFlight<RequestKey, FullCount>,
-    kept: Arc<ChunkCache>,
+    cache: Arc<ChunkCache>,
 }
 
-/// A step, and its origin.
+/// A step for a viewer, and whether the viewer's own request has made it.
 pub(super) struct Offered {
     pub step: Arc<SharedStep>,
     /// Whether the step was made for this request. Only then does its time predict how long the next steps take.
@@ -92,7 +93,7 @@ pub(super) struct Offered {
 }
 
 impl Offered {
-    /// A step after which the client holds nothing of the surface.
+    /// Returns an empty step, after which the client holds nothing of the surface.
     pub(super) fn nothing(view: &View, volume: &VolumeStep) -> Self {
         let volume = Arc::new(volume.dataset().key());
         Self {
@@ -103,27 +104,31 @@ impl Offered {
 }
 
 impl Shared {
-    /// Caches results within `budget` bytes. With 0 nothing is cached, but jobs in flight are still joined.
+    /// Creates a cache of `budget` bytes. With 0 nothing is cached, but requests still join jobs in flight.
     pub(super) fn new(budget: u64) -> Self {
         Self(Arc::new(Inner {
             steps: SingleFlight::default(),
             improved: SingleFlight::default(),
             measured: SingleFlight::default(),
             counted: SingleFlight::default(),
-            kept: Arc::new(ChunkCache::new(budget)),
+            cache: Arc::new(ChunkCache::new(budget)),
         }))
     }
 
     /// Returns the cache of chunks.
-    pub(super) fn kept(&self) -> Arc<ChunkCache> {
-        Arc::clone(&self.0.kept)
+    pub(super) fn chunk_cache(&self) -> Arc<ChunkCache> {
+        Arc::clone(&self.0.cache)
     }
 
     /// Counts the triangles of the full surface of a view.
-    pub(super) async fn count<B: Backend>(&self, wanted: Wanted<B>, token: &CancellationToken) -> Outcome<FullCount> {
-        let key = wanted.request(RequestKind::Count);
+    pub(super) async fn count<B: Backend>(
+        &self,
+        request: SurfaceRequest<B>,
+        token: &CancellationToken,
+    ) -> Outcome<FullCount> {
+        let key = request.key_for(RequestKind::Count);
         let make = |token: CancellationToken| async move {
-            let counted = wanted.backend.count(&wanted.volume, &wanted.view, &token).await;
+            let counted = request.backend.count(&request.volume, &request.view, &token).await;
             counted.map_err(Arc::new)
         };
         self.0.counted.join_or_start(&key, token, make).await.0
@@ -132,41 +137,41 @@ impl Shared {
     /// Makes a step from the surface that a client shows to the surface of a view, or finds one in the cache or in flight.
     pub(super) async fn refine<B: Backend>(
         &self,
-        wanted: Wanted<B>,
+        request: SurfaceRequest<B>,
         step: Step,
         token: &CancellationToken,
     ) -> Outcome<Offered> {
-        let key = wanted.request(RequestKind::Refine {
+        let key = request.key_for(RequestKind::Refine {
             shown: step.shown,
             target: step.target,
         });
         let mut joined = 0;
         loop {
-            if let Some(found) = self.0.kept.find_step(&key).filter(|found| found.suits(step)) {
+            if let Some(cached) = self.0.cache.find_step(&key).filter(|cached| cached.suits(step)) {
                 metrics::found_step("hit");
                 return Ok(Offered {
-                    step: found,
+                    step: cached,
                     is_own: false,
                 });
             }
-            let (wanted, own_key) = (wanted.clone(), key.clone());
-            let kept = self.kept();
+            let (request, own_key) = (request.clone(), key.clone());
+            let cache = self.chunk_cache();
             let make = |token: CancellationToken| async move {
-                let made = wanted.refine(&kept, step, &token).await?;
-                let made = SharedStep::new(made, &wanted.volume, token).await?;
-                kept.keep_step(own_key, &made);
-                Ok(made)
+                let refinement = request.refine(&cache, step, &token).await?;
+                let shared_step = SharedStep::new(refinement, &request.volume, token).await?;
+                cache.insert_step(own_key, &shared_step);
+                Ok(shared_step)
             };
-            // If the steps of other viewers did not suit, a step is made for this viewer alone, and others do not join it.
-            let (made, was_joined) = match joined {
+            // If the steps of other viewers did not suit, a step is made for this viewer alone, and other requests do not join the job.
+            let (outcome, was_joined) = match joined {
                 ..MAX_JOINED => self.0.steps.join_or_start(&key, token, make).await,
                 MAX_JOINED.. => (make(token.clone()).await, false),
             };
-            let made = made?;
-            if !was_joined || made.suits(step) {
+            let shared_step = outcome?;
+            if !was_joined || shared_step.suits(step) {
                 metrics::found_step(if was_joined { "joined" } else { "miss" });
                 return Ok(Offered {
-                    step: made,
+                    step: shared_step,
                     is_own: !was_joined,
                 });
             }
@@ -174,49 +179,49 @@ impl Shared {
         }
     }
 
-    /// Makes a better surface of the same view, or finds it in the cache; `None` if there is none.
+    /// Makes a better surface of the same view, or finds it in the cache; `None` if there is no better surface.
     pub(super) async fn improve<B: Backend>(
         &self,
-        wanted: Wanted<B>,
+        request: SurfaceRequest<B>,
         token: &CancellationToken,
     ) -> Outcome<Option<Offered>> {
-        let key = wanted.request(RequestKind::Improve);
-        if let Some(step) = self.0.kept.find_step(&key) {
+        let key = request.key_for(RequestKind::Improve);
+        if let Some(step) = self.0.cache.find_step(&key) {
             metrics::found_step("hit");
             return Ok(Some(Offered { step, is_own: false }));
         }
-        let (own_key, kept) = (key.clone(), self.kept());
+        let (own_key, cache) = (key.clone(), self.chunk_cache());
         let make = |token: CancellationToken| async move {
-            let made = wanted.backend.improve(&wanted.volume, &wanted.view, &token).await;
-            let Some(made) = made.map_err(Arc::new)? else {
+            let improved = request.backend.improve(&request.volume, &request.view, &token).await;
+            let Some(refinement) = improved.map_err(Arc::new)? else {
                 return Ok(None);
             };
-            let made = SharedStep::new(made, &wanted.volume, token).await?;
-            kept.keep_step(own_key, &made);
-            Ok(Some(made))
+            let shared_step = SharedStep::new(refinement, &request.volume, token).await?;
+            cache.insert_step(own_key, &shared_step);
+            Ok(Some(shared_step))
         };
-        let (made, was_joined) = self.0.improved.join_or_start(&key, token, make).await;
+        let (outcome, was_joined) = self.0.improved.join_or_start(&key, token, make).await;
         metrics::found_step(if was_joined { "joined" } else { "miss" });
         let is_own = !was_joined;
-        Ok(made?.map(|step| Offered { step, is_own }))
+        Ok(outcome?.map(|step| Offered { step, is_own }))
     }
 
     /// Measures how far the final surface of a view is from the undecimated one; `None` as in [`Backend::measure`].
     pub(super) async fn measure<B: Backend>(
         &self,
-        wanted: Wanted<B>,
+        request: SurfaceRequest<B>,
         token: &CancellationToken,
     ) -> Outcome<Option<Arc<Measurement>>> {
-        let key = wanted.request(RequestKind::Measure);
-        if let Some(found) = self.0.kept.find_measured(&key) {
-            return Ok(Some(found));
+        let key = request.key_for(RequestKind::Measure);
+        if let Some(cached) = self.0.cache.find_measured(&key) {
+            return Ok(Some(cached));
         }
-        let (own_key, kept) = (key.clone(), self.kept());
+        let (own_key, cache) = (key.clone(), self.chunk_cache());
         let make = |token: CancellationToken| async move {
-            let measured = wanted.backend.measure(&wanted.volume, &wanted.view, &token).await;
+            let measured = request.backend.measure(&request.volume, &request.view, &token).await;
             let measured = measured.map_err(Arc::new)?.map(Arc::new);
             if let Some(measured) = &measured {
-                kept.keep_measured(own_key, measured);
+                cache.insert_measured(own_key, measured);
             }
             Ok(measured)
         };
@@ -224,8 +229,9 @@ impl Shared {
     }
 }
 
-impl<B: Backend> Wanted<B> {
-    fn request(&self, kind: RequestKind) -> RequestKey {
+impl<B: Backend> SurfaceRequest<B> {
+    /// Returns the key of a result of this kind.
+    fn key_for(&self, kind: RequestKind) -> RequestKey {
         RequestKey {
             view: self.key.clone(),
             fitted: self.view.fitted.map(FittedKey::from),
@@ -233,13 +239,13 @@ impl<B: Backend> Wanted<B> {
         }
     }
 
-    /// Makes a step. If the host has too little memory for it, evicts the cache and tries once more.
-    async fn refine(&self, kept: &ChunkCache, step: Step, token: &CancellationToken) -> Outcome<Refinement> {
+    /// Makes a step. If the host has too little memory for the step, evicts the cache and retries once.
+    async fn refine(&self, cache: &ChunkCache, step: Step, token: &CancellationToken) -> Outcome<Refinement> {
         let make = || self.backend.refine(&self.volume, &self.view, step, token);
-        let made = match make().await {
-            Err(WorkError::HostBusy { .. }) if kept.clear() => make().await,
-            made => made,
+        let outcome = match make().await {
+            Err(WorkError::HostBusy { .. }) if cache.clear() => make().await,
+            outcome => outcome,
         };
-        made.map_err(Arc::new)
+        outcome.map_err(Arc::new)
     }
 }

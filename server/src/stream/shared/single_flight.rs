@@ -1,4 +1,4 @@
-//! Single-flight jobs: a request for a result that another request is making waits for that job instead of starting one.
+//! Single-flight jobs: if a job for the same result is in flight, a request waits for that job instead of starting another.
 
 use std::collections::HashMap;
 use std::hash::Hash;
@@ -16,14 +16,14 @@ pub(in crate::stream) type Outcome<T> = Result<T, Arc<WorkError>>;
 
 type Job<T> = future::Shared<Pin<Box<dyn Future<Output = Outcome<T>> + Send>>>;
 
-/// Jobs in flight, by the key of their result. Each has at least one waiter and is cancelled with its last one, so the number of jobs never
-/// exceeds that of waiters.
+/// Jobs in flight, by the key of their result. Each job has at least one waiter, and is cancelled when its last waiter leaves. So there are
+/// at most as many jobs as waiters.
 pub(super) struct SingleFlight<K, T: Clone>(Mutex<Jobs<K, T>>);
 
 struct Jobs<K, T: Clone> {
     running: HashMap<K, Running<T>>,
     /// Number of the last job. Numbers distinguish a job from an earlier one of the same key.
-    last: u64,
+    last_number: u64,
 }
 
 /// A job in flight.
@@ -40,7 +40,7 @@ impl<K, T: Clone> Default for SingleFlight<K, T> {
     fn default() -> Self {
         Self(Mutex::new(Jobs {
             running: HashMap::new(),
-            last: 0,
+            last_number: 0,
         }))
     }
 }
@@ -52,11 +52,11 @@ impl<K, T: Clone> SingleFlight<K, T> {
 }
 
 impl<K: Clone + Eq + Hash, T: Clone + Send + Sync + 'static> SingleFlight<K, T> {
-    /// Waits for the job of this key; calls `start` to begin it if it is not in flight. Returns the result, and whether the job was in
-    /// flight already.
+    /// Waits for the job of this key; if no such job is in flight, calls `start` to begin one. Returns the result, and whether the job was
+    /// in flight already.
     ///
-    /// If `token` is cancelled, this waiter leaves and the others continue to wait. The last waiter cancels the job and returns only when it
-    /// has ended, so that a caller never has two jobs at once.
+    /// If `token` is cancelled, this waiter leaves and the others continue to wait. The last waiter cancels the job, and returns only when
+    /// the job has ended, so that a caller never has two jobs at once.
     pub(super) async fn join_or_start<F>(
         &self,
         key: &K,
@@ -67,16 +67,16 @@ impl<K: Clone + Eq + Hash, T: Clone + Send + Sync + 'static> SingleFlight<K, T> 
         F: Future<Output = Outcome<T>> + Send + 'static,
     {
         let (mut waiter, mut job) = self.enter(key, start);
-        let joined = waiter.joined;
+        let was_joined = waiter.has_joined;
         let outcome = tokio::select! {
             outcome = &mut job => outcome,
             () = token.cancelled() => match waiter.leave() {
                 true => job.await,
-                false => return (Err(Arc::new(WorkError::Cancelled)), joined),
+                false => return (Err(Arc::new(WorkError::Cancelled)), was_joined),
             }
         };
         waiter.end();
-        (outcome, joined)
+        (outcome, was_joined)
     }
 
     /// Adds a waiter to the job of this key; starts the job if it is not in flight.
@@ -85,11 +85,11 @@ impl<K: Clone + Eq + Hash, T: Clone + Send + Sync + 'static> SingleFlight<K, T> 
         F: Future<Output = Outcome<T>> + Send + 'static,
     {
         let mut jobs = self.jobs();
-        let waiter = |number, joined| Waiter {
+        let waiter = |number, has_joined| Waiter {
             flight: self,
             key: key.clone(),
             number,
-            joined,
+            has_joined,
             is_waiting: true,
         };
         if let Some(running) = jobs.running.get_mut(key) {
@@ -99,9 +99,9 @@ impl<K: Clone + Eq + Hash, T: Clone + Send + Sync + 'static> SingleFlight<K, T> 
         let token = CancellationToken::new();
         let job: Pin<Box<dyn Future<Output = _> + Send>> = Box::pin(start(token.clone()));
         let job = job.shared();
-        jobs.last += 1;
+        jobs.last_number += 1;
         let running = Running {
-            number: jobs.last,
+            number: jobs.last_number,
             job: job.clone(),
             token,
             waiting: 1,
@@ -119,13 +119,13 @@ struct Waiter<'a, K: Eq + Hash, T: Clone> {
     /// Number of the job.
     number: u64,
     /// Whether the job was in flight before this waiter came.
-    joined: bool,
+    has_joined: bool,
     /// Whether the waiter still counts as waiting. False after it has left, or the job has ended.
     is_waiting: bool,
 }
 
 impl<K: Eq + Hash, T: Clone> Waiter<'_, K, T> {
-    /// Leaves the job. Returns true if this was the last waiter: then the job was cancelled, and later requests do not join it.
+    /// Leaves the job. Returns true if this was the last waiter. If so, the job was cancelled, and later requests do not join the job.
     fn leave(&mut self) -> bool {
         if !std::mem::replace(&mut self.is_waiting, false) {
             return false;
@@ -146,7 +146,7 @@ impl<K: Eq + Hash, T: Clone> Waiter<'_, K, T> {
         true
     }
 
-    /// Removes the job, which has ended, so that the next request begins another.
+    /// Removes a job that has ended, so that the next request begins another.
     fn end(mut self) {
         self.is_waiting = false;
         let mut jobs = self.flight.jobs();

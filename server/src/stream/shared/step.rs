@@ -13,7 +13,7 @@ use rayon::prelude::*;
 use rustc_hash::FxHashMap;
 use tokio_util::sync::CancellationToken;
 
-use super::{ANY_LINE_BYTES, MAX_LINE_FACTOR, MIN_LINE_PART, Outcome};
+use super::{ANY_LINE_BYTES, MAX_LINE_FACTOR, MIN_LINE_DIVISOR, Outcome};
 use crate::metrics;
 use crate::pool;
 
@@ -28,18 +28,19 @@ pub(in crate::stream) struct HeldRegion {
     pub coding: Coding,
 }
 
-/// Estimated bytes of chunks: a fixed number for each region, and a number for each hundred triangles.
+/// Estimated bytes of a chunk without its triangles.
 const REGION_BYTES: u64 = 160;
+/// Estimated bytes that each hundred triangles add to a chunk.
 const BYTES_OF_100_TRIANGLES: u64 = 450;
 
 /// A step for several viewers. The chunk of a region is encoded when the first viewer needs it.
 #[derive(Debug)]
 pub(in crate::stream) struct SharedStep {
     /// The result of the step, without its regions.
-    pub made: Refinement,
+    pub refinement: Refinement,
     /// The regions that have triangles.
     pub regions: Vec<SharedRegion>,
-    /// Key of the volume, so that chunks of another volume are not mistaken for this one's.
+    /// Key of the volume. It is part of the cache key of a chunk, because another volume may have a mesh with the same hash.
     volume: Arc<DatasetKey>,
 }
 
@@ -56,9 +57,9 @@ pub(in crate::stream) struct SharedRegion {
     predictive: OnceLock<Result<Bytes, EncodeError>>,
 }
 
-/// The part of a region that is cached beside its chunk.
+/// Metadata of a region, which is cached beside the region's chunk.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct RegionNote {
+pub(super) struct RegionMetadata {
     pub coords: [u32; 3],
     pub hash: MeshHash,
     pub triangles: usize,
@@ -75,29 +76,37 @@ pub(in crate::stream) struct ChunkKey {
 /// A cache of chunks.
 pub(in crate::stream) trait Chunks {
     fn find(&self, key: &ChunkKey) -> Option<Bytes>;
-    fn keep(&self, key: ChunkKey, chunk: &Bytes);
+    fn insert(&self, key: ChunkKey, chunk: &Bytes);
 }
 
 impl SharedStep {
-    /// Creates it from the result of the device. A region without triangles counts as absent.
-    pub(super) async fn new(made: Refinement, volume: &VolumeStep, token: CancellationToken) -> Outcome<Arc<Self>> {
+    /// Creates a step from the result of the device. A region without triangles counts as absent.
+    pub(super) async fn new(
+        refinement: Refinement,
+        volume: &VolumeStep,
+        token: CancellationToken,
+    ) -> Outcome<Arc<Self>> {
         let volume = Arc::new(volume.dataset().key());
-        let hashed = pool::run(move || {
-            let mut made = made;
-            let regions = std::mem::take(&mut made.surface.regions);
-            let hashed = |mesh: Region| match token.is_cancelled() {
+        let hashing = pool::run(move || {
+            let mut refinement = refinement;
+            let regions = std::mem::take(&mut refinement.surface.regions);
+            let hash_region = |mesh: Region| match token.is_cancelled() {
                 true => Err(WorkError::Cancelled),
                 false => Ok(SharedRegion::new(mesh)),
             };
             let regions = (regions.into_par_iter())
                 .with_max_len(MAX_TASK_REGIONS)
                 .filter(|region| !region.indices.is_empty())
-                .map(hashed)
+                .map(hash_region)
                 .collect::<Result<_, _>>()?;
-            Ok(Self { made, regions, volume })
+            Ok(Self {
+                refinement,
+                regions,
+                volume,
+            })
         });
-        let hashed = hashed.await.map_err(|_| WorkError::Stopped).and_then(|hashed| hashed);
-        hashed.map(Arc::new).map_err(Arc::new)
+        let step = hashing.await.map_err(|_| WorkError::Stopped).and_then(|step| step);
+        step.map(Arc::new).map_err(Arc::new)
     }
 
     /// Whether this step suits a viewer who has requested `step`: it is neither too large nor too small for the viewer's line.
@@ -107,10 +116,10 @@ impl SharedStep {
         if bytes > step.bytes.saturating_mul(MAX_LINE_FACTOR).max(ANY_LINE_BYTES) {
             return false;
         }
-        let line = step
+        let line_bytes = step
             .bytes
             .min(step.triangles.saturating_mul(BYTES_OF_100_TRIANGLES) / 100);
-        self.made.is_final || step.shown == Shown::Another || bytes >= line / MIN_LINE_PART
+        self.refinement.is_final || step.shown == Shown::Another || bytes >= line_bytes / MIN_LINE_DIVISOR
     }
 
     /// Returns the chunk of one of the step's regions; encodes it if it is not cached.
@@ -121,32 +130,37 @@ impl SharedStep {
         &self,
         region: usize,
         (prefix, coding): (PrefixId, Coding),
-        kept: &impl Chunks,
+        cache: &impl Chunks,
     ) -> Result<Bytes, EncodeError> {
         let region = &self.regions[region];
         let chunk = match coding {
-            Coding::Meshopt => self.meshopt_chunk(region, prefix, kept),
+            Coding::Meshopt => self.meshopt_chunk(region, prefix, cache),
             Coding::Predictive => (region.predictive)
-                .get_or_init(|| region.encode_predictive(&self.meshopt_chunk(region, prefix, kept)?))
+                .get_or_init(|| region.encode_predictive(&self.meshopt_chunk(region, prefix, cache)?))
                 .clone(),
         };
         chunk.map(|chunk| with_prefix(&chunk, prefix))
     }
 
-    /// Returns the chunk in the coding that every client reads. Its header may name another prefix.
-    fn meshopt_chunk(&self, region: &SharedRegion, prefix: PrefixId, kept: &impl Chunks) -> Result<Bytes, EncodeError> {
-        let mut was_there = true;
+    /// Returns the chunk in the coding that every client reads. If the chunk was encoded for another prefix, its header names that prefix.
+    fn meshopt_chunk(
+        &self,
+        region: &SharedRegion,
+        prefix: PrefixId,
+        cache: &impl Chunks,
+    ) -> Result<Bytes, EncodeError> {
+        let mut is_hit = true;
         let chunk = region.chunk.get_or_init(|| {
             let key = self.key_of(region);
-            if let Some(chunk) = kept.find(&key) {
+            if let Some(chunk) = cache.find(&key) {
                 return Ok(chunk);
             }
-            was_there = false;
+            is_hit = false;
             let chunk = region.encode(prefix)?;
-            kept.keep(key, &chunk);
+            cache.insert(key, &chunk);
             Ok(chunk)
         });
-        metrics::looked_up_chunk(was_there);
+        metrics::looked_up_chunk(is_hit);
         chunk.clone()
     }
 
@@ -158,28 +172,32 @@ impl SharedStep {
         }
     }
 
-    /// Returns the part of the step that the cache keeps beside its chunks.
-    pub(super) fn notes(&self) -> (Refinement, Arc<DatasetKey>, Vec<RegionNote>) {
-        let notes = self.regions.iter().map(|region| RegionNote {
+    /// Returns the part of the step that the cache stores beside the chunks.
+    pub(super) fn metadata(&self) -> (Refinement, Arc<DatasetKey>, Vec<RegionMetadata>) {
+        let metadata = self.regions.iter().map(|region| RegionMetadata {
             coords: region.coords,
             hash: region.hash,
             triangles: region.triangles,
         });
-        (self.made.clone(), Arc::clone(&self.volume), notes.collect())
+        (self.refinement.clone(), Arc::clone(&self.volume), metadata.collect())
     }
 
-    /// Restores a step from its [`Self::notes`], with the chunks of its regions in the same order.
-    pub(super) fn from_cache(made: Refinement, volume: Arc<DatasetKey>, regions: Vec<(RegionNote, Bytes)>) -> Self {
-        let cached = |(note, chunk): (RegionNote, Bytes)| SharedRegion {
-            coords: note.coords,
-            hash: note.hash,
-            triangles: note.triangles,
+    /// Restores a step from its [`Self::metadata`], with the chunks of its regions in the same order.
+    pub(super) fn from_cache(
+        refinement: Refinement,
+        volume: Arc<DatasetKey>,
+        regions: Vec<(RegionMetadata, Bytes)>,
+    ) -> Self {
+        let cached = |(region, chunk): (RegionMetadata, Bytes)| SharedRegion {
+            coords: region.coords,
+            hash: region.hash,
+            triangles: region.triangles,
             mesh: Mutex::new(None),
             chunk: OnceLock::from(Ok(chunk)),
             predictive: OnceLock::new(),
         };
         Self {
-            made,
+            refinement,
             regions: regions.into_iter().map(cached).collect(),
             volume,
         }
@@ -207,7 +225,10 @@ impl SharedRegion {
         chunk.get().is_some()
     }
 
-    /// Encodes the mesh, and frees it.
+    /// Encodes the mesh, and frees the mesh.
+    ///
+    /// # Errors
+    /// The mesh was encoded before, or cannot be encoded.
     fn encode(&self, prefix: PrefixId) -> Result<Bytes, EncodeError> {
         let mesh = self.mesh.lock().unwrap_or_else(PoisonError::into_inner).take();
         let mesh = mesh.ok_or_else(|| EncodeError {

@@ -13,16 +13,16 @@ use super::Fault;
 /// Maximum nesting depth of parentheses and signs, because each level takes a part of the stack.
 const MAX_DEPTH: usize = 48;
 
-/// A part of an expression.
+/// A node of the tree of an expression, with the nodes below it.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Tree {
-    /// Byte of the text at which it begins; for an infix operation, the byte of its symbol.
-    pub(super) at: usize,
-    pub(super) what: What,
+    /// Byte of the text at which the node begins; for an infix operation, the byte of its symbol.
+    pub(super) offset: usize,
+    pub(super) node_kind: NodeKind,
 }
 
 #[derive(Clone, Debug, PartialEq)]
-pub(super) enum What {
+pub(super) enum NodeKind {
     /// A number. `integer` is its exact value if it is written as a whole number, because a float may round it.
     Number {
         value: f32,
@@ -36,11 +36,11 @@ pub(super) enum What {
 }
 
 impl Tree {
-    /// Returns the exact value, if this is a number that is written as a whole number.
+    /// Returns the exact value of a number that is written as a whole number; `None` for any other node.
     pub(super) fn integer(&self) -> Option<i128> {
-        match &self.what {
-            What::Number { integer, .. } => *integer,
-            What::Negate(inner) => inner.integer().map(|number| -number),
+        match &self.node_kind {
+            NodeKind::Number { integer, .. } => *integer,
+            NodeKind::Negate(inner) => inner.integer().map(|number| -number),
             _ => None,
         }
     }
@@ -51,7 +51,7 @@ type Input<'a> = LocatingSlice<&'a str>;
 /// Parses a whole text.
 pub(super) fn parse(text: &str) -> Result<Tree, Fault> {
     check_depth(text)?;
-    terminated(either, multispace0)
+    terminated(disjunction, multispace0)
         .parse(LocatingSlice::new(text))
         .map_err(|error| {
             let expected: Vec<String> = error
@@ -71,10 +71,10 @@ pub(super) fn parse(text: &str) -> Result<Tree, Fault> {
         })
 }
 
-/// Refuses texts that nest too deeply. Counts text in quotation marks too: names hardly contain parentheses or signs.
+/// Refuses texts that nest too deeply. Counts text in quotation marks too, because names hardly contain parentheses or signs.
 fn check_depth(text: &str) -> Result<(), Fault> {
     let (mut open, mut signs) = (0usize, 0usize);
-    for (at, c) in text.char_indices() {
+    for (offset, c) in text.char_indices() {
         match c {
             '(' => open += 1,
             ')' => open = open.saturating_sub(1),
@@ -88,7 +88,7 @@ fn check_depth(text: &str) -> Result<(), Fault> {
             _ => {}
         }
         if open + signs > MAX_DEPTH {
-            return Err((at, format!("more than {MAX_DEPTH} parts within each other")));
+            return Err((offset, format!("more than {MAX_DEPTH} parts within each other")));
         }
     }
     Ok(())
@@ -98,27 +98,28 @@ fn expected(what: &'static str) -> StrContext {
     StrContext::Expected(StrContextValue::Description(what))
 }
 
-/// Parses one of some symbols, the longer ones first, behind optional spaces. Returns its position and the symbol.
+/// Parses one of several symbols behind optional spaces. Symbols are tried in order, so longer ones must come first. Returns the position
+/// and the symbol.
 fn symbol<'a>(
     symbols: &'static [&'static str],
 ) -> impl FnMut(&mut Input<'a>) -> Result<(usize, &'static str), ErrMode<ContextError>> {
     move |input| {
         multispace0(input)?;
-        let at = input.current_token_start();
+        let offset = input.current_token_start();
         for &symbol in symbols {
             if input.starts_with(symbol) {
                 let mut rest = symbol.chars();
                 while rest.next().is_some() {
                     any(input)?;
                 }
-                return Ok((at, symbol));
+                return Ok((offset, symbol));
             }
         }
         Err(ErrMode::Backtrack(ContextError::new()))
     }
 }
 
-/// Parses parts of the next stronger kind that are joined by symbols. Left-associative.
+/// Parses operands that are joined by symbols, left-associative. `part` parses an operand, which binds more strongly.
 fn chain<'a>(
     symbols: &'static [&'static str],
     part: fn(&mut Input<'a>) -> ModalResult<Tree>,
@@ -127,29 +128,32 @@ fn chain<'a>(
         let first = part(input)?;
         let rest: Vec<((usize, &'static str), Tree)> =
             repeat(0.., (symbol(symbols), cut_err(part))).parse_next(input)?;
-        Ok(rest.into_iter().fold(first, |left, ((at, symbol), right)| Tree {
-            at,
-            what: What::Infix(symbol, Box::new(left), Box::new(right)),
+        Ok(rest.into_iter().fold(first, |left, ((offset, symbol), right)| Tree {
+            offset,
+            node_kind: NodeKind::Infix(symbol, Box::new(left), Box::new(right)),
         }))
     }
 }
 
-fn either(input: &mut Input<'_>) -> ModalResult<Tree> {
-    chain(&["||"], both)(input)
+/// Parses operands of `||`: a whole expression.
+fn disjunction(input: &mut Input<'_>) -> ModalResult<Tree> {
+    chain(&["||"], conjunction)(input)
 }
 
-fn both(input: &mut Input<'_>) -> ModalResult<Tree> {
+/// Parses operands of `&&`.
+fn conjunction(input: &mut Input<'_>) -> ModalResult<Tree> {
     chain(&["&&"], comparison)(input)
 }
 
+/// Parses a sum, or a comparison of two sums.
 fn comparison(input: &mut Input<'_>) -> ModalResult<Tree> {
     let left = sum(input)?;
     let right = opt((symbol(&["<=", ">=", "==", "!=", "<", ">"]), cut_err(sum))).parse_next(input)?;
     Ok(match right {
         None => left,
-        Some(((at, symbol), right)) => Tree {
-            at,
-            what: What::Infix(symbol, Box::new(left), Box::new(right)),
+        Some(((offset, symbol), right)) => Tree {
+            offset,
+            node_kind: NodeKind::Infix(symbol, Box::new(left), Box::new(right)),
         },
     })
 }
@@ -162,42 +166,45 @@ fn product(input: &mut Input<'_>) -> ModalResult<Tree> {
     chain(&["*", "/"], sign)(input)
 }
 
+/// Parses a power, with signs before it.
 fn sign(input: &mut Input<'_>) -> ModalResult<Tree> {
-    let Some((at, symbol)) = opt(symbol(&["-", "!"])).parse_next(input)? else {
+    let Some((offset, symbol)) = opt(symbol(&["-", "!"])).parse_next(input)? else {
         return power(input);
     };
     let inner = Box::new(cut_err(sign).parse_next(input)?);
-    let what = if symbol == "-" {
-        What::Negate(inner)
+    let node_kind = if symbol == "-" {
+        NodeKind::Negate(inner)
     } else {
-        What::Not(inner)
+        NodeKind::Not(inner)
     };
-    Ok(Tree { at, what })
+    Ok(Tree { offset, node_kind })
 }
 
-/// Parses a power. It binds more strongly than a sign before it, and is right-associative.
+/// Parses a power. Powers are right-associative, and bind more strongly than a sign before them.
 fn power(input: &mut Input<'_>) -> ModalResult<Tree> {
     let base = atom(input)?;
     let exponent = opt((symbol(&["^"]), cut_err(sign))).parse_next(input)?;
     Ok(match exponent {
         None => base,
-        Some(((at, symbol), exponent)) => Tree {
-            at,
-            what: What::Infix(symbol, Box::new(base), Box::new(exponent)),
+        Some(((offset, symbol), exponent)) => Tree {
+            offset,
+            node_kind: NodeKind::Infix(symbol, Box::new(base), Box::new(exponent)),
         },
     })
 }
 
+/// Parses a number, a name, a call, or an expression in parentheses.
 fn atom(input: &mut Input<'_>) -> ModalResult<Tree> {
     multispace0(input)?;
-    let at = input.current_token_start();
-    let inner = delimited('(', cut_err(either), close).map(|tree| tree.what);
+    let offset = input.current_token_start();
+    let parenthesised = delimited('(', cut_err(disjunction), close).map(|tree| tree.node_kind);
     let nothing = fail.context(expected("a number, a field, a function or ("));
-    alt((inner, number, quoted.map(What::Name), named, nothing))
-        .map(|what| Tree { at, what })
+    alt((parenthesised, number, quoted.map(NodeKind::Name), name_or_call, nothing))
+        .map(|node_kind| Tree { offset, node_kind })
         .parse_next(input)
 }
 
+/// Parses a closing parenthesis.
 fn close(input: &mut Input<'_>) -> ModalResult<char> {
     cut_err(preceded(multispace0, ')'))
         .context(expected("an operator"))
@@ -205,7 +212,7 @@ fn close(input: &mut Input<'_>) -> ModalResult<char> {
         .parse_next(input)
 }
 
-fn number(input: &mut Input<'_>) -> ModalResult<What> {
+fn number(input: &mut Input<'_>) -> ModalResult<NodeKind> {
     let digits = |c: char| c.is_ascii_digit();
     let exponent = (one_of(['e', 'E']), opt(one_of(['+', '-'])), take_while(1.., digits));
     let text = (
@@ -217,7 +224,7 @@ fn number(input: &mut Input<'_>) -> ModalResult<What> {
         .take()
         .parse_next(input)?;
     match text.parse::<f32>() {
-        Ok(value) if value.is_finite() => Ok(What::Number {
+        Ok(value) if value.is_finite() => Ok(NodeKind::Number {
             value,
             integer: text.parse().ok(),
         }),
@@ -235,7 +242,7 @@ fn quoted(input: &mut Input<'_>) -> ModalResult<String> {
 }
 
 /// Parses a word: a field, or a function with its arguments.
-fn named(input: &mut Input<'_>) -> ModalResult<What> {
+fn name_or_call(input: &mut Input<'_>) -> ModalResult<NodeKind> {
     let is_first = |c: char| c.is_alphabetic() || c == '_';
     let word = (
         one_of(is_first),
@@ -243,16 +250,16 @@ fn named(input: &mut Input<'_>) -> ModalResult<What> {
     );
     let name: &str = word.take().parse_next(input)?;
     if opt(symbol(&["("])).parse_next(input)?.is_none() {
-        return Ok(What::Name(name.to_owned()));
+        return Ok(NodeKind::Name(name.to_owned()));
     }
-    let mut arguments = Vec::from_iter(opt(either).parse_next(input)?);
+    let mut arguments = Vec::from_iter(opt(disjunction).parse_next(input)?);
     if !arguments.is_empty() {
-        let others: Vec<Tree> = repeat(0.., preceded((multispace0, ','), cut_err(either))).parse_next(input)?;
+        let others: Vec<Tree> = repeat(0.., preceded((multispace0, ','), cut_err(disjunction))).parse_next(input)?;
         arguments.extend(others);
     }
     cut_err(preceded(multispace0, ')'))
         .context(expected("an operator"))
         .context(expected(", or )"))
         .parse_next(input)?;
-    Ok(What::Call(name.to_owned(), arguments))
+    Ok(NodeKind::Call(name.to_owned(), arguments))
 }
