@@ -46,10 +46,12 @@ impl DeviceWorker {
                 permit = self.shared.ahead_permits.acquire() => permit.map_err(|_| WorkError::Stopped)?,
                 () = token.cancelled() => return Ok(()),
             };
-            if token.is_cancelled() || !self.make_space_ahead(volume, &key, budget).await? {
+            if token.is_cancelled() {
                 return Ok(());
             }
-            self.load_ahead(volume, key, budget, token).await?;
+            if self.make_space_ahead(volume, &key, budget).await? {
+                self.load_ahead(volume, key, budget, token).await?;
+            }
             drop(permit);
         }
         Ok(())
