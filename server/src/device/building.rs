@@ -117,8 +117,8 @@ impl Building {
         })
     }
 
-    /// Passes the messages of the check to `on_message` until the check ends. If `early`, returns as soon as a first surface can be made; the
-    /// children then continue with low priority.
+    /// Passes the messages of the check to `on_message` until the check ends. If `early`, returns as soon as a first surface can be made;
+    /// the children then continue with low priority.
     pub(super) fn follow(&mut self, early: bool, on_message: &dyn Fn(Message)) -> Result<(), Ended> {
         while let Some(message) = self.check.next()? {
             match message {

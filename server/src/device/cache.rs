@@ -129,8 +129,8 @@ pub(super) fn spare_folder() -> Result<PathBuf, String> {
     check_spare(&folder).map(|()| folder)
 }
 
-/// Checks a folder as [`check`] does, with stricter rules. Its name is predictable, and all users can write to its parent, so it must not be
-/// a symbolic link, and other users must not have any access.
+/// Checks a folder as [`check`] does, with stricter rules. Its name is predictable, and all users can write to its parent, so it must not
+/// be a symbolic link, and other users must not have any access.
 fn check_spare(folder: &Path) -> Result<(), String> {
     use std::os::unix::fs::MetadataExt;
     check(folder, START_BYTES)?;

@@ -73,8 +73,8 @@ pub enum DeviceFailure {
 pub struct Checked {
     /// The device.
     pub device: DeviceInfo,
-    /// Workarounds in the order in which they were tried, each with the failure of its check. A workaround that passed has `None`, and is the
-    /// last one. [`Workaround::None`] is the first attempt.
+    /// Workarounds in the order in which they were tried, each with the failure of its check. A workaround that passed has `None`, and is
+    /// the last one. [`Workaround::None`] is the first attempt.
     pub tried: Vec<(Workaround, Option<Ended>)>,
 }
 
@@ -153,8 +153,8 @@ struct Selection {
 }
 
 impl Search {
-    /// Returns the first candidate that passes. If `early`, returns as soon as a candidate can make a first surface; its check then continues
-    /// as `rest` of the selection.
+    /// Returns the first candidate that passes. If `early`, returns as soon as a candidate can make a first surface; its check then
+    /// continues as `rest` of the selection.
     fn next(mut self, early: bool, progress: &dyn Fn(usize, usize)) -> Result<Selection, DeviceFailure> {
         while let Some(device) = self.candidates.pop_front() {
             let id = DeviceId::new(&device);
@@ -230,8 +230,8 @@ impl Search {
 /// The rest of a check that runs while a device is in use.
 pub struct PendingCheck {
     child: Building,
-    /// The search to resume if the check fails. Its first candidate is the device in use, and the last entry of `tried` is the workaround in
-    /// use.
+    /// The search to resume if the check fails. Its first candidate is the device in use, and the last entry of `tried` is the workaround
+    /// in use.
     search: Search,
 }
 
@@ -446,8 +446,8 @@ impl Selection {
     /// Returns the device, if this process can open it.
     ///
     /// # Errors
-    /// [`Unprepared::NewProcess`] if the device needs environment variables that this process does not have. As [`PendingCheck::wait`] if the
-    /// rest of the check fails.
+    /// [`Unprepared::NewProcess`] if the device needs environment variables that this process does not have. As [`PendingCheck::wait`] if
+    /// the rest of the check fails.
     fn prepared(mut self) -> Result<Prepared, Unprepared> {
         let mut needed = self
             .environment

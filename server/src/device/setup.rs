@@ -35,8 +35,8 @@ impl DeviceId {
         self.model() == other.model()
     }
 
-    /// Returns platform, version of the platform, name of the device, and version of the driver. They are equal for devices of the same model
-    /// with the same driver.
+    /// Returns platform, version of the platform, name of the device, and version of the driver. They are equal for devices of the same
+    /// model with the same driver.
     pub(super) fn model(&self) -> [&str; 4] {
         [&self.platform, &self.platform_version, &self.name, &self.driver].map(String::as_str)
     }

@@ -1,5 +1,5 @@
-//! Verdicts on devices, stored on disk. Each combination of device, driver version, compiler version, work-group method of PoCL and build of
-//! isopeel has one file. Several devices of the same model have separate files, numbered in the order of the device list.
+//! Verdicts on devices, stored on disk. Each combination of device, driver version, compiler version, work-group method of PoCL and build
+//! of isopeel has one file. Several devices of the same model have separate files, numbered in the order of the device list.
 
 use std::path::{Path, PathBuf};
 

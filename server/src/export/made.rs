@@ -205,8 +205,8 @@ struct Cleaning {
 }
 
 impl Cleaning {
-    /// Repairs a mesh, then counts the pairs of triangles that still intersect. Returns the count and the statistics of the repair. The count
-    /// is `None` if it was not requested or took too long.
+    /// Repairs a mesh, then counts the pairs of triangles that still intersect. Returns the count and the statistics of the repair. The
+    /// count is `None` if it was not requested or took too long.
     fn run(
         &self,
         mesh: &mut Mesh,
@@ -439,6 +439,7 @@ impl MadeFile {
         format!("{}.{}", self.stem, self.format().extension())
     }
 
+    /// Returns the file format.
     pub fn format(&self) -> Format {
         self.content.format
     }

@@ -49,6 +49,7 @@ impl Axis {
         }
     }
 
+    /// Returns the name: `x`, `y` or `z`.
     pub const fn name(self) -> &'static str {
         match self {
             Self::X => "x",
@@ -115,6 +116,7 @@ impl SliceFormat {
 /// How a slice is shown.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SliceOptions {
+    /// File format.
     pub format: SliceFormat,
     /// Isovalues of contours.
     pub isovalues: Vec<f32>,
@@ -132,6 +134,7 @@ pub struct BadSlice(String);
 /// The plane of a slice: its field, and its position in the volume.
 #[derive(Clone, Debug)]
 pub struct Plane {
+    /// Field whose samples are shown.
     pub field: Field,
     /// The axis across the plane.
     pub axis: Axis,
