@@ -29,7 +29,7 @@ pub enum UploadError {
         upload: String,
     },
     /// The user has too many uploads.
-    #[error("there are {MAX_UPLOADS} uploads of yours, the most there may be: delete some")]
+    #[error("you have {MAX_UPLOADS} uploads, the maximum: delete some")]
     TooMany,
     /// The declared files exceed the rest of the user's quota.
     #[error(
@@ -58,10 +58,10 @@ pub enum UploadError {
         quota: u64,
     },
     /// The disk has no space for this number of bytes.
-    #[error("the server's disk has no space for {0} bytes more: try again when others have deleted something")]
+    #[error("the server's disk has no space for {0} bytes more: try again after uploads were deleted")]
     DiskFull(u64),
     /// The offset is not the number of bytes that the upload has.
-    #[error("Upload-Offset is {found}, expected {expected}: so many bytes are there")]
+    #[error("Upload-Offset is {found}, expected {expected}, the number of bytes that were received")]
     WrongOffset {
         /// Offset in the request.
         found: u64,
@@ -69,28 +69,28 @@ pub enum UploadError {
         expected: u64,
     },
     /// The body has more bytes than the declared files.
-    #[error("the body passes the end of what was declared, expected at most {left} bytes")]
+    #[error("the body has more bytes than the declared files, expected at most {left}")]
     TooLong {
         /// Bytes that the upload has not received yet.
         left: u64,
     },
     /// The body is shorter than its declared length. The bytes that have arrived are kept.
-    #[error("the body ended too early: {kept} bytes of the upload are there, go on with them")]
+    #[error("the body ended too early: {kept} bytes of the upload were received, continue there")]
     Interrupted {
         /// Bytes that the upload has received.
         kept: u64,
     },
     /// Another request has taken over the upload.
-    #[error("another request for this upload has taken the place of this one: {kept} bytes are there")]
+    #[error("another request has taken over this upload: {kept} bytes were received")]
     TakenOver {
         /// Bytes that the upload has received.
         kept: u64,
     },
     /// Other requests occupy all slots.
-    #[error("as many uploads are being received as may be at a time, try again in a few seconds")]
+    #[error("too many uploads are being received, try again in a few seconds")]
     Busy,
     /// Another request writes to the upload or reads it.
-    #[error("another request is at work on this upload, try again in a few seconds")]
+    #[error("another request uses this upload, try again in a few seconds")]
     Locked,
     /// The upload is already complete and served as volumes.
     #[error("the upload {0} is finished: nothing can be added to it")]
@@ -112,7 +112,7 @@ pub enum UploadError {
     #[error("{0}")]
     NoSpace(String),
     /// The server cannot read or write the folder of uploads.
-    #[error("uploads cannot be kept")]
+    #[error("the folder of uploads cannot be read or written")]
     Io(#[from] io::Error),
     /// A blocking task panicked.
     #[error("reading an upload failed")]
