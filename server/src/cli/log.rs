@@ -57,7 +57,7 @@ fn standard_error() -> Box<dyn Write + Send> {
     Box::new(io::stderr())
 }
 
-/// Ends the log after all queued lines were written, or after [`FLUSH_LIMIT`].
+/// Ends the log after all queued lines were written, or after a second.
 pub fn finish() {
     let guard = GUARD.lock().unwrap_or_else(PoisonError::into_inner).take();
     let (sender, flushed) = mpsc::channel();
