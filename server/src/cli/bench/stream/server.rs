@@ -21,7 +21,7 @@ pub struct Server {
 }
 
 impl Server {
-    /// Starts a server as `isopeel serve` does, without authentication.
+    /// Starts a server as `isopeel serve` does, without authentication and without a limit of triangles.
     pub async fn start(dataset: Dataset, device: &DeviceArgs) -> Result<Self, StreamError> {
         let types = dataset.fields.iter().map(|field| field.sample_type).collect();
         let mut catalog = Catalog::default();
