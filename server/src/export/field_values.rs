@@ -124,7 +124,7 @@ mod tests {
         let field = FieldSamples {
             field,
             pieces: vec![Samples::F32(low.to_vec()), Samples::F32(high.to_vec())],
-            piece: 6,
+            piece_len: 6,
             dims: [3, 2, 2],
         };
         let values = field.at(
