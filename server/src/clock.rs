@@ -1,22 +1,23 @@
-//! Times of day, which may be wrong: a machine's clock can be before 1970, or years ahead.
+//! Formats times of the wall clock. The clock of a machine may be wrong: before 1970, or many years ahead.
 
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-/// Seconds from 1970 to the last one that RFC 3339 can write, in the year 9999.
+/// Seconds from 1970 to the last second that RFC 3339 can express, in the year 9999.
 const LAST_SECOND: u64 = 253_402_300_799;
 
-fn within(time: SystemTime) -> SystemTime {
+/// Returns the nearest time that RFC 3339 can express, from 1970 on.
+fn clamped(time: SystemTime) -> SystemTime {
     time.clamp(UNIX_EPOCH, UNIX_EPOCH + Duration::from_secs(LAST_SECOND))
 }
 
-/// Formats a time as in RFC 3339, to the second. A time that RFC 3339 cannot express becomes the nearest one that it can.
+/// Formats a time as in RFC 3339, with seconds. A time before 1970, or after the year 9999, becomes the nearest time in between.
 pub fn rfc3339_seconds(time: SystemTime) -> String {
-    humantime::format_rfc3339_seconds(within(time)).to_string()
+    humantime::format_rfc3339_seconds(clamped(time)).to_string()
 }
 
-/// As [`rfc3339_seconds`], to the millisecond.
+/// Formats a time as [`rfc3339_seconds`] does, but with milliseconds.
 pub fn rfc3339_millis(time: SystemTime) -> String {
-    humantime::format_rfc3339_millis(within(time)).to_string()
+    humantime::format_rfc3339_millis(clamped(time)).to_string()
 }
 
 #[cfg(test)]

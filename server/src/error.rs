@@ -1,8 +1,8 @@
-//! Errors of any kind, and how they are printed.
+//! Errors of any type, and their text with all causes.
 
 use std::error::Error;
 
 pub use isopeel_extraction::chain;
 
-/// Any error; [`chain`] prints it with its causes.
+/// Any error. [`chain`] formats it with its causes.
 pub type BoxError = Box<dyn Error + Send + Sync>;

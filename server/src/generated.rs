@@ -1,5 +1,5 @@
-//! `web/src/protocol/generated.ts`: the types that the server serialises and the limits it shares with the web client, in
-//! TypeScript. `make generated` writes it; a test fails when it is stale.
+//! Generates `web/src/protocol/generated.ts`: TypeScript declarations of the types that the server serialises, and the limits that it
+//! shares with the web client. `make generated` writes the file. A test fails if the file is stale.
 
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -19,7 +19,7 @@ use crate::wire::messages::{ClientMessage, SUBPROTOCOL, ServerMessage};
 
 const HEADER: &str = "/** Generated from the server's types: `make generated` writes it anew. */\n";
 
-/// Declarations of types and of all types that they contain, by name.
+/// Declarations of the visited types, and of all types that they contain, by name.
 struct Declarations {
     config: Config,
     by_name: BTreeMap<String, String>,
@@ -27,14 +27,14 @@ struct Declarations {
 
 impl TypeVisitor for Declarations {
     fn visit<T: TS + 'static + ?Sized>(&mut self) {
-        // Only types that were derived have a path; primitives and containers need no declaration.
+        // Primitives and containers have no path, and need no declaration.
         if T::output_path().is_none() {
             return;
         }
         let declaration = format!("{}export {}", T::docs().unwrap_or_default(), T::decl(&self.config));
         if self
             .by_name
-            .insert(T::ident(&self.config), laid_out(&declaration))
+            .insert(T::ident(&self.config), formatted(&declaration))
             .is_none()
         {
             T::visit_dependencies(self);
@@ -42,8 +42,8 @@ impl TypeVisitor for Declarations {
     }
 }
 
-/// Lays out a declaration: one field per line, indented, and one-line comments on one line.
-fn laid_out(declaration: &str) -> String {
+/// Formats a declaration: one field per line, indented, and short comments on one line.
+fn formatted(declaration: &str) -> String {
     let (mut text, mut depth, mut comment) = (String::new(), 0, Vec::new());
     let mut push = |depth: usize, line: &str| writeln!(text, "{}{line}", "  ".repeat(depth)).expect(INFALLIBLE);
     for line in declaration.replace(", }", ",\n}").lines().map(str::trim) {
@@ -70,11 +70,11 @@ fn laid_out(declaration: &str) -> String {
     text
 }
 
-const INFALLIBLE: &str = "a string takes any text";
+const INFALLIBLE: &str = "writing to a string cannot fail";
 
 fn generate() -> String {
     let mut declarations = Declarations {
-        // JSON has one type of number, and no count here passes 2⁵³.
+        // A `number` of TypeScript is exact up to 2⁵³, and no count here is larger.
         config: Config::new().with_large_int("number"),
         by_name: BTreeMap::new(),
     };

@@ -1,17 +1,17 @@
-//! isopeel's server: volumes from disk, a device behind a bounded queue, REST, WebSocket, exports.
+//! The server of isopeel: volumes from disk, a device behind a bounded queue, REST, WebSocket, and exports.
 //!
-//! Volumes, views and chunks are crates of their own: `isopeel_volumes`, `isopeel_view` and `isopeel_codec`; above them is the engine,
-//! `isopeel_extraction`. Above that, in layers from the bottom up; each uses only those above it in this list:
+//! Other crates contain volumes (`isopeel_volumes`), views (`isopeel_view`), chunks (`isopeel_codec`), and the engine above them
+//! (`isopeel_extraction`). The layers of this crate, from the bottom up. A layer uses only layers that come before it in this list:
 //!
-//! - `clock`, [`error`], [`metrics`], `pool`, [`private_folder`]: times of day, error chains, metrics, the CPU pool, folders of one user.
-//! - [`device`], [`problem`]: chooses the device and checks its results; HTTP errors.
-//! - [`service`]: the engine for many callers: the bounded queue to the device, budgets. Only this layer has a workspace of the engine; apart
-//!   from it, `device` and the commands `bench` and `devices` use the device.
-//! - [`wire`]: messages of the stream. Normative: `PROTOCOL.md`.
-//! - [`export`]: GLB, PLY, STL and other file formats.
+//! - `clock`, [`error`], [`metrics`], `pool`, [`private_folder`]: times of day, error chains, metrics, thread pools, folders of one user.
+//! - [`device`], [`problem`]: selection and check of the device; errors of HTTP.
+//! - [`service`]: the engine for many callers, with the bounded queue to the device. Only this layer has a workspace of the engine. The
+//!   layer   `device` and the commands `bench` and `devices` use the device, too.
+//! - [`wire`]: messages of the stream. `PROTOCOL.md` is normative.
+//! - [`export`]: files of surfaces and slices.
 //! - [`access`]: authentication and authorization.
-//! - [`jobs`], [`uploads`]: batch jobs, and volumes that users bring, each kept in a folder.
-//! - [`stream`]: one viewer: session and socket.
+//! - [`jobs`], [`uploads`]: batch jobs, and volumes that users upload. Each stores its data in a folder.
+//! - [`stream`]: viewers: sessions and sockets.
 //! - [`rest`]: REST, OpenAPI and the embedded web client.
 //! - [`serve`]: the whole server behind one listener.
 //! - [`cli`]: the commands of the binary.

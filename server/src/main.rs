@@ -11,7 +11,7 @@ fn main() -> ExitCode {
         Ok(cli) => cli,
         Err(error) => return failed(&error),
     };
-    // Checks the limits before anything is written.
+    // Comes first: `driver_folders` writes files, and a write beyond the limit of the file size would end the process.
     if cli.command.uses_device()
         && let Err(error) = limits::check()
     {
@@ -19,21 +19,21 @@ fn main() -> ExitCode {
     }
     let folders = cli.command.uses_device().then(driver_folders);
     for (name, folder) in folders.iter().flat_map(|folders| &folders.variables) {
-        // SAFETY: this is the only thread, because the threads that checked the limits have ended.
+        // SAFETY: no other thread is running, because the threads that `limits::check` has started have ended.
         unsafe { std::env::set_var(name, folder) };
     }
     log::start(cli.log_format, cli.command.default_log());
     folders.iter().for_each(DriverFolders::warn);
-    let ended = cli::run(cli);
+    let outcome = cli::run(cli);
     log::finish();
-    match ended {
+    match outcome {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => failed(&*error),
     }
 }
 
 fn failed(error: &(dyn std::error::Error + 'static)) -> ExitCode {
-    // The error is ignored: standard error may be closed.
+    // An error is ignored, because standard error may be closed.
     let _ = writeln!(io::stderr(), "error: {}", isopeel::error::chain(error));
     ExitCode::from(cli::exit_code(error))
 }

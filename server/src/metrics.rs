@@ -1,7 +1,7 @@
-//! Counters and timers of the server for monitoring (`GET /metrics`): names, units, and a function for each event that is counted. Labels
-//! have fixed sets of values; none holds a name of a volume, a file or a person.
+//! Metrics for monitoring (`GET /metrics`): their names and units, and a function for each event. Labels have fixed sets of values, and
+//! never contain names of volumes, files or users.
 //!
-//! Before [`start`] nothing is counted.
+//! Events before [`start`] are not recorded.
 
 use std::sync::{Mutex, OnceLock, PoisonError};
 use std::time::Duration;
@@ -9,12 +9,12 @@ use std::time::Duration;
 use ::metrics::{Counter, Unit, counter, describe_counter, describe_gauge, describe_histogram, gauge, histogram};
 use metrics_exporter_prometheus::{BuildError, PrometheusBuilder, PrometheusHandle};
 
-/// Bounds of all histograms, in seconds: from a kernel of a small volume to an export of the largest.
+/// Bounds of the buckets of all histograms, in seconds: from a kernel of a small volume to an export of the largest one.
 const BOUNDS: [f64; 15] = [
     0.000_1, 0.000_3, 0.001, 0.003, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 20.0, 100.0,
 ];
 
-/// Interval at which recorded values are sorted into the buckets of histograms. Until then each value is stored.
+/// Interval between calls of [`upkeep`]. The recorder stores each value of a histogram until then.
 pub const UPKEEP: Duration = Duration::from_secs(5);
 
 const REQUESTS: &str = "isopeel_http_requests_total";
@@ -46,8 +46,8 @@ const BUILD: &str = "isopeel_build_info";
 
 static RECORDER: OnceLock<PrometheusHandle> = OnceLock::new();
 
-/// Counters that each frame of each viewer updates. They are looked up once: for a small frame, a look-up by labels would take longer than
-/// the rest of the work.
+/// Counters that are updated for each frame of each viewer. They are stored here, because a look-up by labels would take longer than all
+/// other work for a small frame.
 struct FrameCounters {
     chunk_bytes: Counter,
     message_bytes: Counter,
@@ -57,14 +57,14 @@ struct FrameCounters {
 
 static FRAMES: OnceLock<FrameCounters> = OnceLock::new();
 
-/// Starts counting, for the whole process. Further calls do nothing.
+/// Starts recording for the whole process. Further calls do nothing.
 ///
 /// # Errors
 /// Another recorder is installed in this process.
 pub fn start() -> Result<(), BuildError> {
-    // Two servers of a process may start at once.
+    // Tests start several servers in one process at the same time.
     static STARTING: Mutex<()> = Mutex::new(());
-    let _alone = STARTING.lock().unwrap_or_else(PoisonError::into_inner);
+    let _guard = STARTING.lock().unwrap_or_else(PoisonError::into_inner);
     if RECORDER.get().is_some() {
         return Ok(());
     }
@@ -142,7 +142,7 @@ fn describe() {
     describe_gauge!(BUILD, "1, with the version");
 }
 
-/// Sorts recorded values into buckets; to be called every [`UPKEEP`].
+/// Sorts recorded values into the buckets of histograms. Call this every [`UPKEEP`].
 pub fn upkeep() {
     if let Some(recorder) = RECORDER.get() {
         recorder.run_upkeep();
@@ -154,14 +154,14 @@ pub fn render() -> Option<String> {
     RECORDER.get().map(PrometheusHandle::render)
 }
 
-/// Records an answered request. `route` is the pattern of its route, not its path.
+/// Records a request and its response. `route` is the pattern of the route, not the path.
 pub fn answered(method: &'static str, route: &str, status: u16, time: Duration) {
     let status = status.to_string();
     counter!(REQUESTS, "method" => method, "route" => route.to_owned(), "status" => status).increment(1);
     histogram!(REQUEST_SECONDS, "route" => route.to_owned()).record(time);
 }
 
-/// Counts an error answer of REST.
+/// Counts an error response of REST.
 pub fn problem(code: &'static str) {
     counter!(PROBLEMS, "code" => code).increment(1);
 }
@@ -171,7 +171,7 @@ pub fn stream_error(code: &'static str) {
     counter!(STREAM_ERRORS, "code" => code).increment(1);
 }
 
-/// Counts a viewer from its connection until this guard is dropped.
+/// Guard that counts a connected viewer until it is dropped.
 pub struct ConnectedViewer(());
 
 impl ConnectedViewer {
@@ -199,7 +199,7 @@ pub fn groups(groups: usize) {
     gauge!(GROUPS).set(groups as f64);
 }
 
-/// Adds to the number of viewers that follow another one.
+/// Adds `more` to the number of viewers that follow another one. A negative number subtracts.
 pub fn follower(more: f64) {
     gauge!(FOLLOWERS).increment(more);
 }
@@ -212,7 +212,7 @@ pub fn sent(chunk_bytes: usize, message_bytes: usize) {
     }
 }
 
-/// Counts a look-up of a chunk in the cache of chunks that were made for other viewers.
+/// Counts a look-up of a chunk in the cache of encoded chunks, and whether it was a hit.
 pub fn looked_up_chunk(was_there: bool) {
     if let Some(frames) = FRAMES.get() {
         let counter = if was_there {
@@ -249,16 +249,16 @@ pub fn stage(name: &'static str, milliseconds: f64) {
 pub struct JobLabels {
     /// Kind of caller.
     pub caller: &'static str,
-    /// How it shares the device.
+    /// How the job shares the device.
     pub length: &'static str,
 }
 
-/// Records that a job begins, and how long it waited.
+/// Records that a job begins, and its waiting time.
 pub fn job_begun(labels: JobLabels, waited: Duration) {
     histogram!(JOB_WAIT_SECONDS, "caller" => labels.caller, "length" => labels.length).record(waited);
 }
 
-/// Records that a job has ended, and how long it took.
+/// Records that a job has ended, and its duration.
 pub fn job_ended(labels: JobLabels, time: Duration) {
     histogram!(JOB_SECONDS, "caller" => labels.caller, "length" => labels.length).record(time);
 }
@@ -268,14 +268,14 @@ pub fn device_lost() {
     counter!(DEVICE_LOST).increment(1);
 }
 
-/// Counts a look-up in a cache of the device.
+/// Counts a look-up in a cache of the device, and whether it was a hit.
 pub fn looked_up(what: &'static str, was_there: bool) {
     let result = if was_there { "hit" } else { "miss" };
     counter!(CACHE, "what" => what, "result" => result).increment(1);
 }
 
-/// Counts a step for a viewer: one that was cached (`hit`), one that was being made for another viewer (`joined`), or one made for it
-/// (`miss`).
+/// Counts a step for a viewer. `result` is `hit` if the step was cached, `joined` if it was in flight for another viewer, and `miss`
+/// otherwise.
 pub fn found_step(result: &'static str) {
     counter!(CACHE, "what" => "step", "result" => result).increment(1);
 }

@@ -1,5 +1,4 @@
-//! Thread pools for work on the CPU: rayon's for work that viewers wait for at each edit, and others of low priority for exports and for
-//! reading files.
+//! Thread pools for CPU work: rayon's global pool for the edits of viewers, and pools of low priority for exports and for reading files.
 
 use std::num::NonZero;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -7,19 +6,19 @@ use std::sync::{Arc, OnceLock};
 
 use tokio::sync::oneshot;
 
-/// The work panicked.
+/// Work on a pool panicked.
 #[derive(Debug, thiserror::Error)]
 #[error("the encoder failed, the server's log says why")]
 pub struct Panicked;
 
-/// One processor of this many is reserved for the sockets and the device's thread, which send chunks while the pool encodes the next ones.
+/// One in this many processors is reserved for the sockets and the device's thread, which send chunks while the pool encodes the next ones.
 const PROCESSORS_PER_SOCKET_THREAD: usize = 8;
 
-/// Starts rayon's pool, with as many threads as there are processors, except those that the sockets need; or with `RAYON_NUM_THREADS`. To
-/// be called once, before any work.
+/// Starts rayon's global pool with a thread for each processor that is not reserved, or with `RAYON_NUM_THREADS` threads. Call this once,
+/// before any work.
 ///
 /// # Errors
-/// The pool runs already, or its threads could not be started.
+/// The pool is already running, or its threads could not be started.
 pub fn start() -> Result<(), rayon::ThreadPoolBuildError> {
     let mut pool = rayon::ThreadPoolBuilder::new();
     if std::env::var_os("RAYON_NUM_THREADS").is_none() {
@@ -29,28 +28,28 @@ pub fn start() -> Result<(), rayon::ThreadPoolBuildError> {
     pool.build_global()
 }
 
-/// Processors for each thread that runs exports.
+/// The export pool has one thread for this many processors.
 const PROCESSORS_PER_EXPORT_THREAD: usize = 4;
 
-/// Niceness of exports, readers and compilers that run beside viewers: if processors are short, they get a tenth of the time of other
-/// threads.
+/// Niceness of threads for exports, for reading and for compiling. If all processors are busy, such a thread gets a tenth of the time of
+/// other threads.
 #[cfg(target_os = "linux")]
 pub const NICENESS: libc::c_int = 10;
 
-/// A server's pool of exports.
+/// The export pool. Only a server starts it.
 static EXPORTS: OnceLock<Arc<rayon::ThreadPool>> = OnceLock::new();
 
-/// Number of threads of a pool that reads files; set by a server.
+/// Number of threads of a [`ReadPool`]. Only a server sets it.
 static READ_THREADS: OnceLock<usize> = OnceLock::new();
 
-/// Starts the pool of exports, and lets each [`ReadPool`] start threads of its own, so that rayon's pool is left to viewers. Without this
-/// call, exports and readers use rayon's pool.
+/// Starts the export pool, and lets each [`ReadPool`] start its own threads, so that rayon's global pool is free for viewers. Without this
+/// call, exports and readers use rayon's global pool.
 ///
 /// # Errors
-/// Threads could not be started.
+/// The threads could not be started.
 pub fn start_background() -> Result<(), rayon::ThreadPoolBuildError> {
     let processors = std::thread::available_parallelism().map_or(1, NonZero::get);
-    // If an earlier call has started a pool, that one is kept.
+    // The errors of `set` are ignored: a pool of an earlier call stays in use.
     let threads = processors.div_ceil(PROCESSORS_PER_EXPORT_THREAD);
     let _ = EXPORTS.set(Arc::new(background("isopeel-export", threads)?));
     let _ = READ_THREADS.set(processors);
@@ -65,7 +64,7 @@ fn background(name: &'static str, threads: usize) -> Result<rayon::ThreadPool, r
         .build()
 }
 
-/// Lowers the priority of the calling thread only.
+/// Lowers the priority of the calling thread.
 #[cfg(target_os = "linux")]
 fn lower_priority() {
     // SAFETY: a system call without pointers; 0 is the calling thread. If it fails, the thread keeps its priority.
@@ -75,8 +74,7 @@ fn lower_priority() {
 #[cfg(not(target_os = "linux"))]
 fn lower_priority() {}
 
-/// As [`run`], on the pool of exports. `work` may take long, because no interactive viewer waits for it. Its rayon tasks run on that pool
-/// too.
+/// Runs `work` on the export pool. It may take long, because no viewer waits for it. Its rayon tasks run on the same pool.
 pub async fn run_export<T: Send + 'static>(work: impl FnOnce() -> T + Send + 'static) -> Result<T, Panicked> {
     match EXPORTS.get() {
         Some(pool) => spawn(|work| pool.spawn(work), work).await,
@@ -84,24 +82,25 @@ pub async fn run_export<T: Send + 'static>(work: impl FnOnce() -> T + Send + 'st
     }
 }
 
-/// Returns the pool of exports, if it was started.
+/// Returns the export pool, if it was started.
 pub fn exports() -> Option<Arc<rayon::ThreadPool>> {
     EXPORTS.get().cloned()
 }
 
-/// Thread pool of low priority for reading files, so that viewers do not wait for blocks of files that take long to decode. Each concurrent
-/// reader has a pool of its own: on a shared one, a thread that holds the lock of one file could start to read another file, which needs
-/// that lock too.
+/// Thread pool of low priority for reading files, so that viewers do not wait while a reader decodes large blocks.
+///
+/// Each concurrent reader has its own pool. With a shared pool, a thread that holds the lock of a file could steal a task of another reader
+/// that needs the same lock.
 pub struct ReadPool(Option<rayon::ThreadPool>);
 
 impl ReadPool {
-    /// Starts the threads. Without [`start_background`], or if the system has no threads left, reads use rayon's pool.
+    /// Starts the threads. Without [`start_background`], or if the threads cannot be started, reads use rayon's global pool.
     pub fn start() -> Self {
         let threads = READ_THREADS.get();
         Self(threads.and_then(|&threads| background("isopeel-read", threads).ok()))
     }
 
-    /// Runs `work`, which reads files, and blocks until it is done. Only for threads that may block. Its rayon tasks run on this pool too.
+    /// Runs `work`, which reads files, and blocks the calling thread until it is done. The rayon tasks of `work` run on this pool.
     pub fn run<T: Send>(&self, work: impl FnOnce() -> T + Send) -> T {
         match &self.0 {
             Some(pool) => pool.install(work),
@@ -110,23 +109,24 @@ impl ReadPool {
     }
 }
 
-/// Runs `work` on rayon's pool. It runs to its end even if the future is dropped, so it must be short.
+/// Runs `work` on rayon's global pool. `work` must be short, because it runs to its end even if the future is dropped.
 pub async fn run<T: Send + 'static>(work: impl FnOnce() -> T + Send + 'static) -> Result<T, Panicked> {
     spawn(rayon::spawn, work).await
 }
 
+/// Runs `work` by `spawn_on_pool`, and waits for its result.
 async fn spawn<T: Send + 'static>(
-    on_pool: impl FnOnce(Box<dyn FnOnce() + Send>),
+    spawn_on_pool: impl FnOnce(Box<dyn FnOnce() + Send>),
     work: impl FnOnce() -> T + Send + 'static,
 ) -> Result<T, Panicked> {
-    let (reply, answer) = oneshot::channel();
-    on_pool(Box::new(move || {
+    let (sender, result) = oneshot::channel();
+    spawn_on_pool(Box::new(move || {
         // Catches panics, because a panic in a rayon task would end the process.
         if let Ok(value) = catch_unwind(AssertUnwindSafe(work)) {
-            let _ = reply.send(value);
+            let _ = sender.send(value);
         }
     }));
-    answer.await.map_err(|_| Panicked)
+    result.await.map_err(|_| Panicked)
 }
 
 #[cfg(all(test, target_os = "linux"))]

@@ -1,17 +1,17 @@
-//! Folders that only the server's user may use: their contents are secret, or trusted.
+//! Folders that only the user of the server may access, because their contents are secret or trusted.
 
 use std::fs::{File, TryLockError};
 use std::io;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-/// Maximum wait for a lock that a killed process held: the system keeps it until the process's memory is freed.
+/// Maximum wait for a lock. The system keeps the lock of a killed process until it has freed the memory of this process.
 const LOCK_WAIT: Duration = Duration::from_secs(4);
 
-/// Makes a file in a folder, if it does not exist, and locks it for this process alone, as [`lock`] does.
+/// Locks a file in a folder as [`lock`] does. Creates the file if it does not exist.
 ///
 /// # Errors
-/// As [`lock`]; or the file cannot be made.
+/// As [`lock`], or the file cannot be created.
 pub fn lock_in(folder: &Path, name: &str) -> Result<File, TryLockError> {
     let mut options = File::options();
     let file = options
@@ -24,10 +24,10 @@ pub fn lock_in(folder: &Path, name: &str) -> Result<File, TryLockError> {
     Ok(file)
 }
 
-/// Locks a file for this process alone, as soon as no other process holds it.
+/// Locks a file for this process alone. Waits some seconds for the lock of another process.
 ///
 /// # Errors
-/// [`TryLockError::WouldBlock`] if another process holds it for longer than a killed one would; or the system has no locks.
+/// [`TryLockError::WouldBlock`] if another process still holds the lock; [`TryLockError::Error`] if the file system has no locks.
 pub fn lock(file: &File) -> Result<(), TryLockError> {
     let start = Instant::now();
     loop {
@@ -48,48 +48,48 @@ pub enum FolderAccess {
     Group,
 }
 
-/// Why a folder is not used.
+/// Why a folder cannot be used.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum FolderAccessError {
-    /// It cannot be created or inspected.
+    /// The folder cannot be created or inspected.
     #[error("folder {}", path.display())]
     Io {
-        /// The folder.
+        /// Path of the folder.
         path: PathBuf,
-        /// Why not.
+        /// Error of the system.
         source: io::Error,
     },
-    /// The system does not let the server's user make or enter it.
+    /// The user of the server may not create or enter the folder.
     #[error(
         "folder {} cannot be made or entered by user {user}, the server's: expected one above it that this user or group 0 may write, such as a volume of its own", path.display()
     )]
     Denied {
-        /// The folder.
+        /// Path of the folder.
         path: PathBuf,
-        /// The server's user.
+        /// Id of the server's user.
         user: u32,
     },
-    /// It is another user's.
+    /// The folder belongs to another user.
     #[error(
         "folder {} belongs to user {owner}, expected {user}, the server's: sudo chown -R {user} '{}'", path.display(), path.display()
     )]
     Owner {
-        /// The folder.
+        /// Path of the folder.
         path: PathBuf,
-        /// Whose it is.
+        /// Id of the user who owns the folder.
         owner: u32,
-        /// Whose it should be.
+        /// Id of the server's user, who must own the folder.
         user: u32,
     },
-    /// Others may read or change its contents.
+    /// Other users may read or change the contents of the folder.
     #[error(
         "folder {} has mode {mode:04o}, expected no rights of {}: chmod {} '{}'", path.display(), access.others(), access.remedy(), path.display()
     )]
     Mode {
-        /// The folder.
+        /// Path of the folder.
         path: PathBuf,
-        /// Its mode.
+        /// Mode of the folder.
         mode: u32,
         /// The requested access.
         access: FolderAccess,
@@ -97,7 +97,7 @@ pub enum FolderAccessError {
 }
 
 impl FolderAccess {
-    /// Mode bits that a folder must not have.
+    /// Returns the mode bits that a folder must not have.
     fn forbidden(self) -> u32 {
         match self {
             Self::User => 0o077,
@@ -105,6 +105,7 @@ impl FolderAccess {
         }
     }
 
+    /// Returns the classes of users who must not have access, for the error message.
     fn others(self) -> &'static str {
         match self {
             Self::User => "group and others (--folder-access group lets the group in)",
@@ -112,6 +113,7 @@ impl FolderAccess {
         }
     }
 
+    /// Returns the argument of `chmod` that removes the forbidden mode bits.
     fn remedy(self) -> &'static str {
         match self {
             Self::User => "go-rwx",
@@ -120,7 +122,8 @@ impl FolderAccess {
     }
 }
 
-/// Opens a folder: makes it for this user alone if it does not exist, else checks its owner and its mode.
+/// Opens a folder, and returns its canonical path. If the folder does not exist, creates it with access for this user alone; otherwise
+/// checks its owner and mode.
 ///
 /// # Errors
 /// [`FolderAccessError`].
@@ -140,10 +143,10 @@ pub fn open(path: &Path, access: FolderAccess) -> Result<PathBuf, FolderAccessEr
     check(path, access)
 }
 
-/// Makes a folder that only this user may use, and those above it.
+/// Creates a folder with access for this user alone, and missing folders above it.
 ///
 /// # Errors
-/// The system's.
+/// Errors of the system.
 pub fn make(path: &Path) -> io::Result<()> {
     let mut builder = std::fs::DirBuilder::new();
     #[cfg(unix)]
@@ -154,13 +157,14 @@ pub fn make(path: &Path) -> io::Result<()> {
 #[cfg(unix)]
 fn check(path: PathBuf, access: FolderAccess) -> Result<PathBuf, FolderAccessError> {
     use std::os::unix::fs::MetadataExt;
-    let found = match std::fs::metadata(&path) {
-        Ok(found) => found,
+    let metadata = match std::fs::metadata(&path) {
+        Ok(metadata) => metadata,
         Err(source) => return Err(FolderAccessError::Io { path, source }),
     };
-    let (owner, user, mode) = (found.uid(), rustix::process::geteuid().as_raw(), found.mode() & 0o7777);
-    let is_roots = access == FolderAccess::Group && owner == 0;
-    if owner != user && !is_roots {
+    let (owner, mode) = (metadata.uid(), metadata.mode() & 0o7777);
+    let user = rustix::process::geteuid().as_raw();
+    let may_belong_to_root = access == FolderAccess::Group;
+    if owner != user && !(may_belong_to_root && owner == 0) {
         return Err(FolderAccessError::Owner { path, owner, user });
     }
     if mode & access.forbidden() != 0 {

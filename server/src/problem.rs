@@ -10,7 +10,7 @@ use utoipa::ToSchema;
 use crate::error::{self, BoxError};
 use crate::metrics;
 
-/// A failed request: a message for people, a code for programs, and a cause that goes to the log alone.
+/// An error of a request: a message for users, a code for programs, and a cause that only the log contains.
 #[derive(Debug, thiserror::Error)]
 #[error("{message}")]
 pub struct ApiError {
@@ -21,7 +21,7 @@ pub struct ApiError {
     cause: Option<BoxError>,
     /// A budget of triangles to try.
     suggested_triangles: Option<u64>,
-    /// The methods that the path accepts, if the request had another one.
+    /// The methods that the path accepts, if the error is another method.
     allow: Option<&'static str>,
     /// Time to wait before a retry, if it is known.
     retry_after: Option<Duration>,
@@ -57,11 +57,11 @@ pub struct Problem {
     pub suggested_triangles: Option<u64>,
 }
 
-/// Seconds to wait before a retry when the queue was full: a typical extraction is done by then.
+/// Default `Retry-After` in seconds if the server is busy. A typical extraction takes less.
 const RETRY_AFTER: HeaderValue = HeaderValue::from_static("2");
 
 impl ApiError {
-    /// An error with its status, stable code and message.
+    /// Creates an error with a status, a stable code and a message.
     pub fn new(status: StatusCode, code: &'static str, message: impl Into<String>) -> Self {
         Self {
             status,
@@ -101,13 +101,13 @@ impl ApiError {
         Self { status, ..self }
     }
 
-    /// There is no such path.
+    /// Returns the error for an unknown path.
     pub fn not_found(path: &str) -> Self {
         let message = format!("nothing at {path:?}, /api/v1/openapi.json lists what there is");
         Self::new(StatusCode::NOT_FOUND, "not-found", message)
     }
 
-    /// The path has no such method; `allow` lists its methods.
+    /// Returns the error for a method that a path does not accept. `allow` lists the accepted methods.
     pub fn method_not_allowed(method: &Method, path: &str, allow: &'static str) -> Self {
         Self {
             allow: Some(allow),
@@ -115,35 +115,35 @@ impl ApiError {
         }
     }
 
-    /// As [`ApiError::method_not_allowed`], for answers whose `Allow` header the router adds.
+    /// Returns the same error as [`ApiError::method_not_allowed`], for responses to which the router adds the header `Allow`.
     pub fn method_unknown(method: &Method, path: &str) -> Self {
         let message = format!("{path:?} does not know the method {method}");
         Self::new(StatusCode::METHOD_NOT_ALLOWED, "method-not-allowed", message)
     }
 
-    /// There is no volume of this id.
+    /// Returns the error for an unknown volume.
     pub fn unknown_volume(id: &str) -> Self {
         let message = format!("no volume has the id {id:?}, /api/v1/volumes lists those there are");
         Self::new(StatusCode::NOT_FOUND, "unknown-volume", message)
     }
 
-    /// The server is at a limit: try again later.
+    /// Returns the error for a temporary overload. The client may try again later.
     pub fn busy(message: impl Into<String>) -> Self {
         Self::new(StatusCode::SERVICE_UNAVAILABLE, "busy", message)
     }
 
-    /// A fault of the server. The cause is logged, and the answer does not state it.
+    /// Returns the error for a fault of the server. The log contains the cause, and the response does not.
     pub fn internal(cause: impl Into<BoxError>) -> Self {
         let message = "the server failed, its log says why";
         Self::new(StatusCode::INTERNAL_SERVER_ERROR, "internal", message).because(cause)
     }
 
-    /// HTTP status.
+    /// Returns the HTTP status.
     pub fn status(&self) -> StatusCode {
         self.status
     }
 
-    /// Stable code.
+    /// Returns the stable code.
     pub fn code(&self) -> &'static str {
         self.code
     }
@@ -184,7 +184,7 @@ impl IntoResponse for ApiError {
             headers.insert(header::WWW_AUTHENTICATE, HeaderValue::from_static("Bearer"));
         }
         if let Some(time) = self.retry_after {
-            // In whole seconds plus one, so that no client retries too early.
+            // Rounds up to whole seconds, so that no client retries too early.
             headers.insert(header::RETRY_AFTER, (time.as_secs() + 1).into());
         } else if self.code == "busy" {
             headers.insert(header::RETRY_AFTER, RETRY_AFTER);

@@ -1,4 +1,4 @@
-//! The whole server behind one listener: [`run`] takes the listener and a future that resolves at shutdown.
+//! The whole server behind one listener. [`run`] serves until a future resolves.
 
 mod connections;
 mod listener;
@@ -38,44 +38,43 @@ pub use connections::ConnectionLimits;
 pub use listener::{ListenAddress, Listener, SocketFile};
 pub use tls::{Tls, TlsError};
 
-/// Grace of a server that does not drain: the process ends within 2 s of the signal.
+/// Default of [`Config::grace`]. The process then ends within 2 s after the signal.
 pub const SHUTDOWN_GRACE: Duration = Duration::from_secs(1);
 
 /// Configuration of a server.
 pub struct Config {
-    /// The volumes.
+    /// Volumes that the server offers.
     pub catalog: SharedCatalog,
-    /// The device, which may still be opening.
+    /// Device worker. The device may still be opening.
     pub worker: DeviceWorker,
-    /// Maximum triangles of a surface. Larger ones are refused before they are made.
+    /// Maximum number of triangles of a surface. A larger surface is refused before it is made.
     pub ceiling_triangles: u64,
-    /// How viewers and volumes with time steps are served.
+    /// Caches, and whether time steps may appear.
     pub live: LiveOptions,
-    /// Deadlines of viewers' connections.
+    /// Deadlines of the connections of viewers.
     pub deadlines: Deadlines,
-    /// Who may use the server.
+    /// Authentication and authorization.
     pub access: Access,
-    /// `None`: connections are not encrypted.
+    /// Certificate and key; `None`: connections are not encrypted.
     pub tls: Option<Arc<Tls>>,
     /// Limits of connections.
     pub connections: ConnectionLimits,
-    /// Listener that serves metrics without a token; `None`: metrics need a token with the role `admin`.
+    /// Additional listener that serves metrics and probes without a token; `None`: metrics require a token with the role `admin`.
     pub metrics: Option<Listener>,
-    /// Volumes that users have uploaded; `None`: uploads are refused.
+    /// Uploads; `None`: the server accepts no uploads.
     pub uploads: Option<Uploads>,
-    /// Folder of batch jobs, and their limits; `None`: there are none.
+    /// Folder and limits of batch jobs; `None`: the server has no batch jobs.
     pub jobs: Option<(StateFolder, Limits)>,
-    /// Folder in which exports wait for clients that read slowly; `None`: among temporary files.
+    /// Folder for spooled exports of slow clients; `None`: the folder for temporary files.
     pub spool: Option<SpoolFolder>,
-    /// Whether the server is about to end: it continues to serve, and `/readyz` says that clients should use another server.
+    /// Set before the shutdown. The server then still answers requests, but `/readyz` reports that clients should use another server.
     pub is_draining: Arc<AtomicBool>,
-    /// Maximum time that a shutdown waits for running requests and for viewers' close handshakes. The rest is then cancelled.
+    /// Maximum time that a shutdown waits for running requests and for the close handshakes of viewers. Then it cancels them.
     pub grace: Duration,
 }
 
 impl Config {
-    /// Returns the defaults for a server of these volumes on this device: no limit of triangles, no TLS, no listener of its own for
-    /// metrics, no jobs and no uploads.
+    /// Returns the default configuration: no limit of triangles, no TLS, no additional listener, no batch jobs and no uploads.
     pub fn new(catalog: SharedCatalog, worker: DeviceWorker, access: Access) -> Self {
         Self {
             catalog,
@@ -96,14 +95,14 @@ impl Config {
     }
 }
 
-/// Why a server ended on its own.
+/// Why a server ended without a shutdown.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ServeError {
     /// The device could not be opened.
     #[error(transparent)]
     Device(#[from] WorkError),
-    /// Only a new process can use the device.
+    /// This process cannot use the device any more, but a new process can.
     #[error("this process cannot use the device any more; a new one can")]
     NeedsNewProcess,
     /// Batch jobs cannot be stored.
@@ -117,13 +116,12 @@ pub enum ServeError {
     Listener(#[from] std::io::Error),
 }
 
-/// Serves REST, the stream and the web client until `shutdown` resolves, then closes every connection and returns.
+/// Serves REST, the stream and the web client until `shutdown` resolves, then closes all connections and returns.
 ///
-/// Serves at once; requests that need the device wait until it is open (`GET /readyz`).
+/// Accepts requests at once. Requests that need the device wait until it is open (`GET /readyz`).
 ///
 /// # Errors
-/// [`ServeError`]; a device that cannot be opened ends the server. After [`ServeError::NeedsNewProcess`] the caller must start another
-/// process.
+/// [`ServeError`]. After [`ServeError::NeedsNewProcess`], the caller must start another process.
 pub async fn run(
     listener: impl Into<Listener>,
     config: Config,
@@ -147,8 +145,8 @@ pub async fn run(
     } = config;
     metrics::start()?;
     let stop = CancellationToken::new();
-    // Ends the viewers' tasks on every return path of this function.
-    let _stop_viewers = stop.clone().drop_guard();
+    // Ends the tasks of viewers, jobs and uploads when this function returns, also after an error.
+    let _stop_guard = stop.clone().drop_guard();
     let worker = worker.with_ceiling(ceiling_triangles);
     let backend = LiveBackend::new(catalog.clone(), worker.clone(), live);
     let viewers = StreamState::new(backend, deadlines, stop.clone()).with_shared_bytes(live.shared_bytes);
@@ -161,9 +159,9 @@ pub async fn run(
     let api = ApiState::new(catalog, worker.clone(), access.clone()).with_jobs(jobs.clone());
     let api = (api.with_uploads(uploads.clone()).with_spool(spool)).with_draining(is_draining);
     let proxies = Arc::clone(access.proxies());
-    let _metrics = serve_metrics(metrics_listener, api.clone(), limits, stop.clone());
+    let _metrics_task = serve_metrics(metrics_listener, api.clone(), limits, stop.clone());
     let app = app(api, viewers.clone(), access);
-    let _expiry = uploads.map(|uploads| AbortOnDropHandle::new(tokio::spawn(uploads.run(stop.clone()))));
+    let _expiry_task = uploads.map(|uploads| AbortOnDropHandle::new(tokio::spawn(uploads.run(stop.clone()))));
     let mut runner = tokio::spawn(async move {
         if let Some(jobs) = jobs {
             jobs.run().await;
@@ -181,15 +179,15 @@ pub async fn run(
     let outcome = tokio::select! {
         () = shutdown => Ok(()),
         error = worker.unusable() => Err(error.map_or(ServeError::NeedsNewProcess, ServeError::Device)),
-        ended = &mut server => return Ok(ended.map_err(std::io::Error::other)?),
+        joined = &mut server => return Ok(joined.map_err(std::io::Error::other)?),
     };
     stop.cancel();
-    let ended = tokio::time::timeout(grace, async {
+    let all_ended = tokio::time::timeout(grace, async {
         viewers.closed().await;
         let _ = (&mut server).await;
         let _ = (&mut runner).await;
     });
-    if ended.await.is_err() {
+    if all_ended.await.is_err() {
         tracing::warn!("connections still open after {} ms are dropped", grace.as_millis());
         server.abort();
         runner.abort();
@@ -197,7 +195,7 @@ pub async fn run(
     outcome
 }
 
-/// Runs the upkeep of metrics, and serves them at an address of their own, until the returned guard is dropped.
+/// Runs the upkeep of metrics, and serves metrics on the additional listener, if there is one. Dropping the returned handle ends both.
 fn serve_metrics(
     listener: Option<Listener>,
     api: ApiState,
@@ -212,7 +210,7 @@ fn serve_metrics(
                 metrics::upkeep();
             }
         };
-        let served = async {
+        let serve = async {
             match listener {
                 None => std::future::pending().await,
                 Some(listener) => {
@@ -221,11 +219,11 @@ fn serve_metrics(
                 }
             }
         };
-        tokio::join!(upkeep, served);
+        tokio::join!(upkeep, serve);
     }))
 }
 
-/// Counts the answers, by route.
+/// Records each request and its response in the metrics.
 async fn count(request: Request<Body>, next: middleware::Next) -> Response {
     let started = Instant::now();
     let method = match *request.method() {
@@ -239,18 +237,18 @@ async fn count(request: Request<Body>, next: middleware::Next) -> Response {
     };
     let route = request.extensions().get::<MatchedPath>().cloned();
     let response = next.run(request).await;
-    // Files of the page and unknown paths share one label.
+    // Paths without a route, which are files of the page and unknown paths, share one label.
     let route = route.as_ref().map_or("other", MatchedPath::as_str);
     metrics::answered(method, route, response.status().as_u16(), started.elapsed());
     response
 }
 
-/// Answers below this size are not compressed.
+/// Minimum bytes of a response that is compressed.
 const MIN_COMPRESSED_BYTES: u64 = 1 << 10;
 
 fn app(api: ApiState, viewers: StreamState<LiveBackend>, access: Access) -> Router {
-    // Meshes are not compressed, because gzip takes longer than it saves in transfer. The same is true of answers that fit a packet, which
-    // clients without a token may request.
+    // Does not compress meshes, because compression takes longer than it saves in transfer. The same holds for responses that fit in one
+    // packet, whose cost matters because clients without a token can request them.
     let compress = DefaultPredicate::new()
         .and(SizeAbove::new(MIN_COMPRESSED_BYTES))
         .and(NotForContentType::const_new("model/"))
@@ -259,7 +257,7 @@ fn app(api: ApiState, viewers: StreamState<LiveBackend>, access: Access) -> Rout
     rest::router(api)
         .merge(stream::router(viewers))
         .layer(middleware::from_fn_with_state(access.clone(), admit))
-        // This layer is outside of `admit`, so that a page of an allowed origin can read why a request was refused.
+        // Outside `admit`, so that a page of an allowed origin can read why a request was refused.
         .layer(cross_origin(access.origins()))
         .layer(set(header::CONTENT_SECURITY_POLICY, content_security_policy(&access)))
         .layer(set(header::X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff")))
@@ -267,13 +265,13 @@ fn app(api: ApiState, viewers: StreamState<LiveBackend>, access: Access) -> Rout
         .layer(CompressionLayer::new().compress_when(compress))
         .layer(middleware::map_request(accept_plain))
         .layer(CatchPanicLayer::new())
-        // No `on_failure` here: failures are logged with their causes when the answer is made.
+        // No `on_failure`, because `ApiError` logs failures with their causes.
         .layer(middleware::from_fn(count))
         .layer(TraceLayer::new_for_http().make_span_with(request_span).on_failure(()))
 }
 
-/// Adds `identity` as the last choice to `Accept-Encoding`. Otherwise the compression layer changes the status of an answer to 406 if the client
-/// accepts none of its own encodings, also if the answer is already encoded as the client wants it.
+/// Adds `identity` to `Accept-Encoding` with the lowest weight. Otherwise the compression layer changes the status of a response to 406 if
+/// the client accepts none of the layer's encodings, even if the response already has an encoding that the client accepts.
 async fn accept_plain(mut request: Request<Body>) -> Request<Body> {
     let headers = request.headers_mut();
     if headers.contains_key(header::ACCEPT_ENCODING) {
@@ -287,7 +285,7 @@ fn request_span(request: &Request<Body>) -> tracing::Span {
     tracing::debug_span!("request", method = %request.method(), path = request.uri().path())
 }
 
-/// Lets pages of these origins read answers of REST. Browsers do not let other pages read them.
+/// Returns the CORS layer. It lets pages of these origins read responses of REST.
 fn cross_origin(origins: &[AllowedOrigin]) -> CorsLayer {
     let origins = origins.iter().map(AllowedOrigin::header);
     CorsLayer::new()

@@ -1,4 +1,4 @@
-//! Positions of a capped surface's vertices relative to the faces of the volume, on which the caps lie.
+//! Position of each vertex of a capped surface relative to the caps, which lie on faces of the volume.
 
 use isopeel_geometry::DVec3;
 use isopeel_volumes::Geometry;
@@ -6,52 +6,54 @@ use isopeel_volumes::Geometry;
 /// Position of a vertex relative to the caps.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ToCaps {
-    /// The faces that it lies on, one bit each: the face at the low end of the first axis, the face at its high end, and so on.
+    /// Bits of the faces on which the vertex lies. Bit 2·axis is the face at the low end of the axis; bit 2·axis + 1 is the face at the
+    /// high end.
     faces: u8,
-    /// Whether it is so close to a face that the cap may have changed the surface there.
+    /// Whether the vertex is so close to a face that the cap may have changed the surface there.
     pub is_near: bool,
 }
 
 impl ToCaps {
-    /// Classifies a position in the index space of a capped volume, which has `dims` samples with its padding. It is near a face if it is less than
-    /// `reach` cells from it.
+    /// Classifies a position in the index space of a capped volume. `dims` are the samples along each axis, including one sample of padding
+    /// on each side. The position is near a face if their distance is less than `reach` cells.
     pub fn of(position: [f32; 3], dims: [u32; 3], reach: f32) -> Self {
-        let mut to = Self::default();
-        for (axis, (at, n)) in position.into_iter().zip(dims).enumerate() {
+        let mut to_caps = Self::default();
+        for (axis, (coordinate, n)) in position.into_iter().zip(dims).enumerate() {
             let [first, last] = [1.0, n as f32 - 2.0];
-            to.faces |= u8::from(at == first) << (2 * axis) | u8::from(at == last) << (2 * axis + 1);
-            to.is_near |= at < first + reach || at > last - reach;
+            let faces = u8::from(coordinate == first) | u8::from(coordinate == last) << 1;
+            to_caps.faces |= faces << (2 * axis);
+            to_caps.is_near |= coordinate < first + reach || coordinate > last - reach;
         }
-        to
+        to_caps
     }
 
     fn is_on(self, face: usize) -> bool {
         self.faces >> face & 1 == 1
     }
 
-    /// Whether it is on a face across an axis.
+    /// Whether the vertex is on one of the two faces across an axis.
     fn is_on_axis(self, axis: usize) -> bool {
         self.is_on(2 * axis) || self.is_on(2 * axis + 1)
     }
 }
 
-/// The faces of a volume.
+/// The faces of a volume, as planes in the world.
 #[derive(Clone, Copy, Debug)]
 pub struct Faces {
-    /// Unit normals of the faces across each axis.
+    /// Unit normal of the two faces across each axis.
     normals: [DVec3; 3],
-    /// Positions of the caps along these normals, in the order of [`ToCaps`]; infinite for faces without a cap.
+    /// Coordinate of each face along its normal, in the order of the bits of [`ToCaps`]; infinite for faces without a cap.
     ends: [f64; 6],
 }
 
 impl Faces {
-    /// Returns the faces on which caps have vertices. `caps`: one entry for each vertex, or empty without caps.
+    /// Returns the faces on which caps have vertices. `caps` has an entry for each vertex, or is empty for a surface without caps.
     pub fn new(geometry: &Geometry, positions: &[[f32; 3]], caps: &[ToCaps]) -> Self {
         let [x, y, z] = geometry.direction.map(DVec3::from);
         let turn = x.dot(y.cross(z)).signum();
         let normals = [y.cross(z), z.cross(x), x.cross(y)].map(|normal| normal * turn / normal.length());
         let ends = std::array::from_fn(|face| {
-            let on_face = caps.iter().position(|to| to.is_on(face));
+            let on_face = caps.iter().position(|to_caps| to_caps.is_on(face));
             match on_face {
                 Some(vertex) => DVec3::from(positions[vertex].map(f64::from)).dot(normals[face / 2]),
                 None if face % 2 == 0 => f64::NEG_INFINITY,
@@ -61,24 +63,24 @@ impl Faces {
         Self { normals, ends }
     }
 
-    /// Returns the end of a vertex' move from one position towards another. The vertex stays on the faces that it lies on. `None` if the
-    /// end is outside of the volume.
+    /// Returns the position of a vertex after a move from one position towards another, projected so that the vertex stays on its faces.
+    /// Returns `None` if this position is outside the volume.
     pub fn constrained(&self, from: DVec3, to: DVec3, caps: ToCaps) -> Option<DVec3> {
         let along = self.along(to - from, caps);
         let is_inside = (0..3).filter(|&axis| !caps.is_on_axis(axis)).all(|axis| {
-            let at = (from + along).dot(self.normals[axis]);
-            (self.ends[2 * axis]..=self.ends[2 * axis + 1]).contains(&at)
+            let coordinate = (from + along).dot(self.normals[axis]);
+            (self.ends[2 * axis]..=self.ends[2 * axis + 1]).contains(&coordinate)
         });
         is_inside.then_some(from + along)
     }
 
-    /// Projects a move onto the faces that the vertex lies on, so that it stays on them.
+    /// Projects a move onto all faces on which the vertex lies.
     fn along(&self, move_by: DVec3, caps: ToCaps) -> DVec3 {
-        let across: Vec<DVec3> = (0..3)
+        let face_normals: Vec<DVec3> = (0..3)
             .filter(|&axis| caps.is_on_axis(axis))
             .map(|axis| self.normals[axis])
             .collect();
-        match across[..] {
+        match face_normals[..] {
             [] => move_by,
             [normal] => move_by - normal * move_by.dot(normal),
             [a, b] => {

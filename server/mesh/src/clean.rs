@@ -1,4 +1,4 @@
-//! Counts the triangles of a file that intersect, and moves vertices until there are none.
+//! Counts intersecting triangles of a mesh as its file stores it, and moves vertices until no triangles intersect.
 
 use std::time::{Duration, Instant};
 
@@ -9,34 +9,36 @@ use rustc_hash::FxHashMap;
 
 use super::caps::Faces;
 use super::decimal::Decimals;
-use super::topology::Around;
+use super::topology::VertexTriangles;
 use super::{Format, Mesh};
 
-/// Maximum rounds over the groups of intersecting triangles before the repair is given up.
+/// Maximum number of rounds. Each round finds the intersections of the mesh, and repairs all groups of intersecting triangles.
 const MAX_ROUNDS: usize = 16;
 
-/// The same for capped surfaces of which each vertex stands for a cell, because the cut near caps was refined before.
+/// Maximum number of rounds for capped surfaces whose vertices represent single cells. Fewer, because their cut near caps was already
+/// refined.
 const CAP_ROUNDS: usize = 4;
 
-/// Maximum move of a vertex of a capped surface, as a share of the mean length of its edges, so that it stays close to its own triangles.
-const REACH_SHARE: f64 = 0.25;
+/// Maximum move of a vertex of a capped surface, as a fraction of the mean length of its edges, so that the vertex stays close to its
+/// surface.
+const REACH_FRACTION: f64 = 0.25;
 
-/// Such a vertex may always be moved by this many smallest spacings.
+/// Minimum of this limit, in smallest spacings.
 const MIN_REACH: f64 = 2.0;
 
-/// Rounds after which a group grows by the vertices around it.
+/// After each of this many rounds, groups grow by one ring of neighbouring vertices.
 const ROUNDS_BEFORE_GROWTH: usize = 3;
 
-/// Sweeps over the vertices of a group in a round, in each of which a vertex may move once.
+/// Maximum number of sweeps over the vertices of a group in a round. In each sweep, a vertex may move once.
 const SWEEPS: usize = 24;
 
-/// Half sides of the cubes from which random positions of a vertex are tried, in mean lengths of its edges.
+/// Half sides of the cubes around a vertex in which random candidate positions are chosen, in mean lengths of its edges.
 const RANDOM_RADII: [f64; 6] = [0.03, 0.1, 0.2, 0.3, 0.5, 0.8];
 
-/// Shares of the way to the middle of a vertex' neighbours that are tried.
-const MIDDLE_SHARES: [f64; 4] = [0.1, 0.25, 0.5, 1.0];
+/// Candidate positions between a vertex and the mean of its neighbours, as fractions of the way.
+const MEAN_FRACTIONS: [f64; 4] = [0.1, 0.25, 0.5, 1.0];
 
-/// Of the moves that change nothing, one in this many is made, to leave a dead end.
+/// One in this many moves that do not reduce the intersections is made nevertheless, to leave local minima.
 const SIDEWAYS: u64 = 4;
 
 /// Triangles of a file still intersect.
@@ -46,20 +48,20 @@ const SIDEWAYS: u64 = 4;
     if *pairs == 1 { "pair of triangles still intersects" } else { "pairs of triangles still intersect" }
 )]
 pub struct NotClean {
-    /// Pairs of triangles that intersect.
+    /// Number of pairs of triangles that intersect.
     pairs: u64,
 }
 
 /// Result of a repair.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Repaired {
-    /// What was moved.
+    /// Statistics of the moved vertices.
     pub cleaned: Cleaned,
-    /// Pairs of triangles that intersect afterwards.
+    /// Number of pairs of triangles that intersect after the repair, including those outside the scope.
     pub intersections: u64,
 }
 
-/// Why a mesh is not repaired.
+/// Why a mesh could not be repaired.
 #[derive(Debug, thiserror::Error)]
 pub enum RepairError {
     /// The caller has cancelled.
@@ -70,7 +72,8 @@ pub enum RepairError {
     NotClean(#[from] NotClean),
 }
 
-/// Counts the pairs of triangles that intersect in a file of the format; `None` if that is cancelled, or takes longer than the limit.
+/// Counts the pairs of triangles that intersect in a file of this format. Returns `None` if the count is cancelled, or takes longer than
+/// `limit`.
 pub fn count(
     mesh: &Mesh,
     format: Format,
@@ -87,21 +90,20 @@ pub fn count(
     (!is_late()).then_some(pairs.len() as u64)
 }
 
-/// Which triangles are repaired.
+/// The pairs of triangles that are repaired.
 #[derive(Clone, Copy, Debug)]
 pub enum Scope {
-    /// All: it is an error if some still intersect.
+    /// All pairs. The repair fails if triangles still intersect.
     All,
-    /// Only pairs with a corner near a cap, because other intersections also occur in surfaces without caps.
+    /// Pairs with a corner near a cap. Other intersections are not a fault of the caps: they also occur in surfaces without caps.
     AtCaps {
-        /// Cells along the largest cube that a vertex stands for.
+        /// Edge length, in cells, of the largest cube that a vertex represents.
         cells: f32,
     },
 }
 
-/// Moves vertices of triangles that intersect, and if that does not suffice, those around them, until no triangles intersect in a file of
-/// the format. Moves are tried in a fixed order, so that equal meshes are repaired equally. Vertices on caps stay on the faces of the
-/// volume.
+/// Moves vertices of intersecting triangles until no triangles in the scope intersect in a file of this format. In later rounds, also moves
+/// neighbouring vertices. Vertices on caps stay on the faces of the volume. The repair is deterministic.
 ///
 /// # Errors
 /// [`RepairError::NotClean`] if triangles in the scope [`Scope::All`] still intersect after [`MAX_ROUNDS`].
@@ -117,7 +119,7 @@ pub fn repair(
         Scope::AtCaps { cells } if cells <= 1.0 => CAP_ROUNDS,
         Scope::All | Scope::AtCaps { .. } => MAX_ROUNDS,
     };
-    let around = Around::new(mesh);
+    let triangles_of = VertexTriangles::new(mesh);
     let numbers = Numbers::new(mesh, format);
     let mut repair = Repair {
         positions: numbers.all(mesh),
@@ -125,7 +127,7 @@ pub fn repair(
         mesh,
         faces,
         scope,
-        around: &around,
+        triangles_of: &triangles_of,
         moved: Vec::new(),
         originals: FxHashMap::default(),
         random: Random(1),
@@ -139,7 +141,7 @@ pub fn repair(
         repair.moved.clear();
         let pairs = tree.intersections(&soup, is_cancelled);
         let mut pairs = pairs.ok_or(RepairError::Cancelled)?;
-        let all = pairs.len() as u64;
+        let all_pairs = pairs.len() as u64;
         pairs.retain(|pair| repair.is_repaired(pair));
         if round == 0 {
             cleaned.intersections = pairs.len() as u64;
@@ -149,10 +151,10 @@ pub fn repair(
             return Err(RepairError::NotClean(NotClean { pairs }));
         }
         if pairs.is_empty() || is_last {
-            repair.state_moves(&mut cleaned);
+            repair.count_moves(&mut cleaned);
             return Ok(Repaired {
                 cleaned,
-                intersections: all,
+                intersections: all_pairs,
             });
         }
         for group in groups(&repair.mesh.triangles, &pairs) {
@@ -165,18 +167,18 @@ pub fn repair(
     unreachable!("the last round returns")
 }
 
-/// Representation of positions in a file of a format.
+/// How a file stores positions, which decides whether triangles intersect.
 #[derive(Clone, Copy)]
 enum Numbers {
-    /// As in the mesh, or as 64-bit world positions.
+    /// Exactly as in the mesh, or as 64-bit world positions.
     Exact,
     /// As 32-bit world positions.
     Rounded,
-    /// As decimals of world positions.
+    /// As decimal text of world positions.
     WorldDecimals(Decimals),
-    /// As decimals, relative to the mesh's origin.
+    /// As decimal text, relative to the origin of the mesh.
     Decimals(Decimals),
-    /// As decimals that are read with 32 bits, relative to the mesh's origin.
+    /// As decimal text, relative to the origin of the mesh, that readers convert to 32 bits.
     RoundedDecimals(Decimals),
 }
 
@@ -197,7 +199,7 @@ impl Numbers {
         let world = [0, 1, 2].map(|axis| mesh.origin[axis] + position[axis]);
         match self {
             Self::Exact => position,
-            // A position beyond 32 bits is refused when it is written.
+            // May be infinite here: the writer refuses a position beyond 32 bits.
             Self::Rounded => world.map(|component| f64::from(component as f32)),
             Self::WorldDecimals(decimals) => world.map(|component| decimals.rounded(component)),
             Self::Decimals(decimals) => position.map(|component| decimals.rounded(component)),
@@ -211,7 +213,7 @@ impl Numbers {
     }
 }
 
-/// Groups the vertices of triangles that intersect: those of one place are together.
+/// Groups the vertices of intersecting triangles. Two pairs of triangles with a common vertex are in the same group.
 fn groups(triangles: &[[u32; 3]], pairs: &[[u32; 2]]) -> Vec<Vec<u32>> {
     let mut group_of: FxHashMap<u32, usize> = FxHashMap::default();
     let mut groups: Vec<Vec<u32>> = Vec::new();
@@ -234,13 +236,13 @@ fn groups(triangles: &[[u32; 3]], pairs: &[[u32; 2]]) -> Vec<Vec<u32>> {
     groups
 }
 
-/// Deterministic pseudo-random numbers.
+/// Deterministic pseudo-random number generator.
 struct Random(u64);
 
 impl Random {
     /// Returns the next number.
     fn next(&mut self) -> u64 {
-        // Linear congruential generator of Knuth's MMIX.
+        // The linear congruential generator of Knuth's MMIX.
         self.0 = self
             .0
             .wrapping_mul(6_364_136_223_846_793_005)
@@ -255,7 +257,7 @@ impl Random {
     }
 }
 
-/// A mesh while its vertices are moved.
+/// State of a repair.
 struct Repair<'a> {
     mesh: &'a mut Mesh,
     /// Positions as the file stores them.
@@ -263,10 +265,10 @@ struct Repair<'a> {
     numbers: Numbers,
     faces: Faces,
     scope: Scope,
-    around: &'a Around,
-    /// Triangles that have moved since the tree was built.
+    triangles_of: &'a VertexTriangles,
+    /// Triangles that have moved since the tree of the round was built, sorted.
     moved: Vec<u32>,
-    /// Original positions of the vertices that have been moved.
+    /// Original positions of all moved vertices.
     originals: FxHashMap<u32, [f32; 3]>,
     random: Random,
 }
@@ -281,12 +283,12 @@ impl Repair<'_> {
         }
     }
 
-    /// Moves vertices of a group, and those within `edges` edges of them, until no triangles intersect there or [`SWEEPS`] are done. Vertices on
-    /// borders stay.
-    fn repair_group(&mut self, mut vertices: Vec<u32>, edges: usize, tree: &TriangleTree) {
-        for _ in 0..edges {
-            let next: Vec<u32> = vertices.iter().flat_map(|&vertex| self.next_to(vertex)).collect();
-            vertices.extend(next);
+    /// Moves the vertices of a group and `rings` rings of neighbours, until none of their triangles intersect, or for [`SWEEPS`]. Does not
+    /// move vertices on borders.
+    fn repair_group(&mut self, mut vertices: Vec<u32>, rings: usize, tree: &TriangleTree) {
+        for _ in 0..rings {
+            let neighbours: Vec<u32> = vertices.iter().flat_map(|&vertex| self.neighbours(vertex)).collect();
+            vertices.extend(neighbours);
             vertices.sort_unstable();
             vertices.dedup();
         }
@@ -302,24 +304,24 @@ impl Repair<'_> {
         }
     }
 
-    /// Tries positions of a vertex, and moves it to the one at which its triangles intersect the fewest others; sometimes to one that is
-    /// only as good as its present position. Returns true, and moves nothing, if they intersected none before.
+    /// Moves a vertex to the candidate position with the fewest faults. Sometimes moves it to a position with as many faults as before, to
+    /// leave a local minimum. Returns true, without a move, if the vertex has no faults.
     fn improve(&mut self, vertex: u32, tree: &TriangleTree) -> bool {
         let current = self.mesh.positions[vertex as usize];
-        let near = self.near(tree, vertex, &[]);
-        if self.faults(vertex, current, &near, usize::MAX) == 0 {
+        let nearby = self.nearby_triangles(tree, vertex, &[]);
+        if self.faults(vertex, current, &nearby, usize::MAX) == 0 {
             return true;
         }
         let candidates = self.candidates(vertex, DVec3::from(current.map(f64::from)));
         let candidates: Vec<[f32; 3]> = candidates
             .iter()
-            .map(|at| at.to_array().map(|component| component as f32))
+            .map(|position| position.to_array().map(|component| component as f32))
             .collect();
-        let near = self.near(tree, vertex, &candidates);
-        let before = self.faults(vertex, current, &near, usize::MAX);
+        let nearby = self.nearby_triangles(tree, vertex, &candidates);
+        let before = self.faults(vertex, current, &nearby, usize::MAX);
         let (mut best, mut fewest) = (current, before);
         for candidate in candidates {
-            let faults = self.faults(vertex, candidate, &near, fewest + 1);
+            let faults = self.faults(vertex, candidate, &nearby, fewest + 1);
             let is_sideways = faults == before && fewest == before && self.random.next().is_multiple_of(SIDEWAYS);
             if faults < fewest || is_sideways {
                 (best, fewest) = (candidate, faults);
@@ -330,58 +332,69 @@ impl Repair<'_> {
         }
         if best != current {
             self.originals.entry(vertex).or_insert(current);
-            self.place(vertex, best);
-            self.moved.extend(self.around.of(vertex));
+            self.set_position(vertex, best);
+            self.moved.extend(self.triangles_of.vertex(vertex));
             self.moved.sort_unstable();
             self.moved.dedup();
         }
         false
     }
 
-    /// Returns the triangles that those around a vertex may intersect, at its current position and at the tried ones.
-    fn near(&self, tree: &TriangleTree, vertex: u32, tried: &[[f32; 3]]) -> Vec<u32> {
+    /// Returns the triangles that the triangles of a vertex may intersect, if the vertex is at its current position or at a candidate.
+    fn nearby_triangles(&self, tree: &TriangleTree, vertex: u32, candidates: &[[f32; 3]]) -> Vec<u32> {
         let corners = self
-            .around
-            .of(vertex)
+            .triangles_of
+            .vertex(vertex)
             .iter()
             .flat_map(|&triangle| self.mesh.triangles[triangle as usize]);
         let mut points: Vec<[f64; 3]> = corners.map(|corner| self.positions[corner as usize]).collect();
-        points.extend(tried.iter().map(|&place| self.numbers.position(self.mesh, place)));
-        let mut near = tree.near(&Bounds::around(&points));
-        near.extend(&self.moved);
-        near.sort_unstable();
-        near.dedup();
-        near
+        let stored = candidates
+            .iter()
+            .map(|&position| self.numbers.position(self.mesh, position));
+        points.extend(stored);
+        let mut nearby = tree.near(&Bounds::around(&points));
+        // The tree has the old positions of these triangles.
+        nearby.extend(&self.moved);
+        nearby.sort_unstable();
+        nearby.dedup();
+        nearby
     }
 
-    fn place(&mut self, vertex: u32, position: [f32; 3]) {
+    fn set_position(&mut self, vertex: u32, position: [f32; 3]) {
         self.mesh.positions[vertex as usize] = position;
         self.positions[vertex as usize] = self.numbers.position(self.mesh, position);
     }
 
-    /// Returns the positions to try, near ones first.
-    fn candidates(&mut self, vertex: u32, at: DVec3) -> Vec<DVec3> {
+    /// Returns candidate positions of a vertex, the nearest to its `current` position first.
+    fn candidates(&mut self, vertex: u32, current: DVec3) -> Vec<DVec3> {
         let position = |vertex: u32| DVec3::from(self.mesh.positions[vertex as usize].map(f64::from));
-        let next = self.next_to(vertex);
-        let middle = next.iter().map(|&next| position(next)).sum::<DVec3>() / next.len().max(1) as f64;
-        let length = next.iter().map(|&next| position(next).distance(at)).sum::<f64>() / next.len().max(1) as f64;
+        let neighbours = self.neighbours(vertex);
+        let count = neighbours.len().max(1) as f64;
+        let mean = neighbours.iter().map(|&neighbour| position(neighbour)).sum::<DVec3>() / count;
+        let lengths = neighbours
+            .iter()
+            .map(|&neighbour| position(neighbour).distance(current));
+        let mean_length = lengths.sum::<f64>() / count;
         let original = self.originals.contains_key(&vertex).then(|| self.original(vertex));
-        let mut tried: Vec<DVec3> = MIDDLE_SHARES.iter().map(|&share| at.lerp(middle, share)).collect();
-        tried.extend(
+        let mut candidates: Vec<DVec3> = MEAN_FRACTIONS
+            .iter()
+            .map(|&fraction| current.lerp(mean, fraction))
+            .collect();
+        candidates.extend(
             RANDOM_RADII
                 .iter()
-                .map(|&radius| at + radius * length * self.random.vector()),
+                .map(|&radius| current + radius * mean_length * self.random.vector()),
         );
-        tried.extend(original);
-        if let Some(&to) = self.mesh.caps.get(vertex as usize) {
-            let (original, reach) = (self.original(vertex), self.reach(vertex, &next));
-            tried = (tried.iter())
-                .filter_map(|&place| self.faces.constrained(at, place, to))
-                .filter(|place| place.distance(original) <= reach)
+        candidates.extend(original);
+        if let Some(&to_caps) = self.mesh.caps.get(vertex as usize) {
+            let (original, reach) = (self.original(vertex), self.reach(vertex, &neighbours));
+            candidates = (candidates.iter())
+                .filter_map(|&candidate| self.faces.constrained(current, candidate, to_caps))
+                .filter(|candidate| candidate.distance(original) <= reach)
                 .collect();
         }
-        tried.sort_by(|a, b| a.distance(at).total_cmp(&b.distance(at)));
-        tried
+        candidates.sort_by(|a, b| a.distance(current).total_cmp(&b.distance(current)));
+        candidates
     }
 
     /// Returns the original position of a vertex.
@@ -390,20 +403,22 @@ impl Repair<'_> {
         DVec3::from(self.originals.get(&vertex).unwrap_or(current).map(f64::from))
     }
 
-    /// Maximum distance of a vertex of a capped surface from its original position, given the vertices next to it.
-    fn reach(&self, vertex: u32, next: &[u32]) -> f64 {
+    /// Returns the maximum distance of a vertex from its original position. It is infinite if the scope is the whole mesh.
+    fn reach(&self, vertex: u32, neighbours: &[u32]) -> f64 {
         if matches!(self.scope, Scope::All) {
             return f64::INFINITY;
         }
-        let at = self.original(vertex);
-        let edges = next.iter().map(|&next| self.original(next).distance(at));
-        let mean = edges.sum::<f64>() / next.len().max(1) as f64;
-        (REACH_SHARE * mean).max(MIN_REACH * self.mesh.smallest_spacing)
+        let original = self.original(vertex);
+        let lengths = neighbours
+            .iter()
+            .map(|&neighbour| self.original(neighbour).distance(original));
+        let mean_length = lengths.sum::<f64>() / neighbours.len().max(1) as f64;
+        (REACH_FRACTION * mean_length).max(MIN_REACH * self.mesh.smallest_spacing)
     }
 
-    /// Counts the faults with a vertex at a position: triangles around it without area, pairs of these that intersect, and intersecting
-    /// pairs of one of these and one of `near`. May stop at `limit`.
-    fn faults(&self, vertex: u32, position: [f32; 3], near: &[u32], limit: usize) -> usize {
+    /// Counts the faults of the triangles of a vertex, if the vertex is at a position. A fault is a triangle without area, an intersection
+    /// of two of these triangles, or an intersection of one of them with a triangle in `nearby`. May stop at `limit`.
+    fn faults(&self, vertex: u32, position: [f32; 3], nearby: &[u32], limit: usize) -> usize {
         let position = self.numbers.position(self.mesh, position);
         let corners = |triangle: u32| -> Corners {
             self.mesh.triangles[triangle as usize].map(|corner| match corner == vertex {
@@ -411,19 +426,21 @@ impl Repair<'_> {
                 false => self.positions[corner as usize],
             })
         };
-        let own: Vec<(u32, Corners, Bounds)> = (self.around.of(vertex).iter())
+        let adjacent: Vec<(u32, Corners, Bounds)> = (self.triangles_of.vertex(vertex).iter())
             .map(|&triangle| (triangle, corners(triangle)))
             .map(|(triangle, corners)| (triangle, corners, Bounds::around(&corners)))
             .collect();
-        let all = own.iter().fold(Bounds::EMPTY, |all, (.., bounds)| all.joined(bounds));
-        let mut faults = own.iter().filter(|(_, corners, _)| !has_area(corners)).count();
-        for (i, (_, a, of_a)) in own.iter().enumerate() {
-            let others = own[i + 1..].iter();
+        let all_bounds = adjacent
+            .iter()
+            .fold(Bounds::EMPTY, |all, (.., bounds)| all.joined(bounds));
+        let mut faults = adjacent.iter().filter(|(_, corners, _)| !has_area(corners)).count();
+        for (i, (_, a, bounds_a)) in adjacent.iter().enumerate() {
+            let others = adjacent[i + 1..].iter();
             faults += others
-                .filter(|(_, b, of_b)| of_a.meets(of_b) && intersect(a, b))
+                .filter(|(_, b, bounds_b)| bounds_a.meets(bounds_b) && intersect(a, b))
                 .count();
         }
-        for &triangle in near {
+        for &triangle in nearby {
             if faults >= limit {
                 break;
             }
@@ -433,19 +450,19 @@ impl Repair<'_> {
             }
             let other = other.map(|corner| self.positions[corner as usize]);
             let bounds = Bounds::around(&other);
-            if all.meets(&bounds) {
-                let met = own
+            if all_bounds.meets(&bounds) {
+                let intersecting = adjacent
                     .iter()
-                    .filter(|(_, own, of_own)| of_own.meets(&bounds) && intersect(own, &other));
-                faults += met.count();
+                    .filter(|(_, corners, own_bounds)| own_bounds.meets(&bounds) && intersect(corners, &other));
+                faults += intersecting.count();
             }
         }
         faults
     }
 
-    /// Returns the other corners of the triangles around a vertex, each once.
-    fn next_to(&self, vertex: u32) -> Vec<u32> {
-        let triangles = self.around.of(vertex).iter();
+    /// Returns the other corners of the triangles of a vertex, each once.
+    fn neighbours(&self, vertex: u32) -> Vec<u32> {
+        let triangles = self.triangles_of.vertex(vertex).iter();
         let mut corners: Vec<u32> = triangles
             .flat_map(|&triangle| self.mesh.triangles[triangle as usize])
             .collect();
@@ -455,14 +472,16 @@ impl Repair<'_> {
         corners
     }
 
-    /// Whether a vertex is on a border, or at an edge of more than two triangles. Any other vertex has as many neighbours as triangles.
+    /// Whether a vertex is on a border, or on an edge of more than two triangles. Any other vertex has as many neighbours as triangles.
     fn is_on_border(&self, vertex: u32) -> bool {
-        self.next_to(vertex).len() != self.around.of(vertex).len()
+        self.neighbours(vertex).len() != self.triangles_of.vertex(vertex).len()
     }
 
-    fn state_moves(&self, cleaned: &mut Cleaned) {
+    /// Adds the number of moved vertices and the largest move to `cleaned`.
+    fn count_moves(&self, cleaned: &mut Cleaned) {
         for (&vertex, original) in &self.originals {
-            let [new, old] = [&self.mesh.positions[vertex as usize], original].map(|at| DVec3::from(at.map(f64::from)));
+            let current = &self.mesh.positions[vertex as usize];
+            let [new, old] = [current, original].map(|position| DVec3::from(position.map(f64::from)));
             if new != old {
                 cleaned.moved_vertices += 1;
                 cleaned.largest_move = cleaned.largest_move.max(new.distance(old));

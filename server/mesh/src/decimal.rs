@@ -1,25 +1,27 @@
-//! Numbers as decimal text. The standard library's shortest text of a number takes ten times as long as the rest of writing a vertex.
+//! Formats numbers as decimal text with a fixed number of digits. The standard library computes the shortest text of a number, which takes
+//! ten times as long as the rest of writing a vertex.
 
 use std::io::Write;
 
-/// Maximum rounding error, as a share of the smallest spacing.
+/// Maximum rounding error, as a fraction of the smallest spacing.
 const PRECISION: f64 = 1e-5;
-/// Maximum digits behind the point: 10 to this power fits into 64 bits.
+/// Maximum number of digits after the decimal point. 10 to this power fits into 64 bits.
 const MAX_DIGITS: usize = 18;
-/// Whole numbers below this are exact in 64-bit floats.
+/// Whole numbers below this limit are exact in 64-bit floats.
 const EXACT: f64 = 9e15;
 
-/// Writes numbers with a fixed number of digits behind the point.
+/// Format of numbers with a fixed number of digits after the decimal point.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Decimals {
     digits: usize,
+    /// 10 to the power of `digits`.
     scale: f64,
-    /// Whether more than [`MAX_DIGITS`] digits are needed, so that numbers are written in full.
+    /// Whether more than [`MAX_DIGITS`] digits were requested. Then numbers are written with an exponent instead.
     is_exponential: bool,
 }
 
 impl Decimals {
-    /// Uses `digits` digits behind the point. With more than 18, numbers are written in full.
+    /// Uses `digits` digits after the decimal point. With more than [`MAX_DIGITS`], numbers are written exactly, with an exponent.
     pub(crate) fn new(digits: usize) -> Self {
         let is_exponential = digits > MAX_DIGITS;
         let digits = digits.min(MAX_DIGITS);
@@ -30,8 +32,8 @@ impl Decimals {
         }
     }
 
-    /// Uses as many digits as positions on a grid of this smallest spacing need: rounding changes them by less than a hundred-thousandth of
-    /// it.
+    /// Uses as many digits as necessary for positions on a grid with this smallest spacing. Rounding moves them by less than [`PRECISION`]
+    /// times the spacing.
     pub(crate) fn of_spacing(spacing: f64) -> Self {
         let digits = -(spacing * PRECISION).log10().floor();
         Self::new(if digits.is_finite() {
@@ -41,7 +43,7 @@ impl Decimals {
         })
     }
 
-    /// Returns the number that a reader gets from the text of `number`.
+    /// Returns the number that a reader parses from the text of `number`.
     pub(crate) fn rounded(self, number: f64) -> f64 {
         let scaled = (number * self.scale).round();
         if scaled.abs() >= EXACT || self.is_exponential {
@@ -50,11 +52,11 @@ impl Decimals {
         scaled / self.scale
     }
 
-    /// Appends a number. One that has more digits than 64 bits hold is written in full, with an exponent.
+    /// Appends the text of a number. A number that is too large for 64 bits is written exactly, with an exponent.
     pub(crate) fn push(self, text: &mut Vec<u8>, number: f64) {
         let scaled = (number * self.scale).round();
         if scaled.abs() >= EXACT || self.is_exponential {
-            // Writing to a vector does not fail.
+            // Cannot fail, because the target is a vector.
             let _ = write!(text, "{number:e}");
             return;
         }
@@ -76,7 +78,7 @@ impl Decimals {
     }
 }
 
-/// Appends a whole number.
+/// Appends the text of a whole number.
 pub(crate) fn push_whole(text: &mut Vec<u8>, number: u64) {
     text.extend_from_slice(itoa::Buffer::new().format(number).as_bytes());
 }

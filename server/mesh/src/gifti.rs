@@ -1,5 +1,5 @@
-//! GIFTI 1.0 (<https://www.nitrc.org/projects/gifti>), `.surf.gii`: surfaces of brains, as nibabel, Connectome Workbench and FreeSurfer read
-//! them.
+//! GIFTI 1.0 (<https://www.nitrc.org/projects/gifti>), `.surf.gii`: a format for surfaces of brains. nibabel, Connectome Workbench and
+//! FreeSurfer read these files.
 
 use std::io::Write;
 
@@ -12,13 +12,13 @@ use isopeel_volumes::Frame;
 use super::xml::escaped;
 use super::{ExportError, Mesh};
 
-/// The fastest level. Slower ones make files only a tenth smaller.
+/// Compression level. The fastest one, because slower ones make files only a tenth smaller.
 const LEVEL: Compression = Compression::fast();
-/// Number of values that are compressed at once.
+/// Number of rows that are compressed at once.
 const PIECE: usize = 1 << 12;
 
-/// Writes `mesh`: positions, 32 bits and in RAS if the axes are a patient's, and triangles, zlib in base64. Metadata name the surface, its
-/// provenance and the notices.
+/// Writes `mesh`: positions and triangles as zlib in base64. Positions have 32 bits, and are in RAS if the frame is anatomical. Metadata
+/// contain name, provenance and notices.
 ///
 /// # Errors
 /// Positions beyond 32 bits, or the errors of `out`.
@@ -52,18 +52,18 @@ pub fn write(mesh: &Mesh, out: &mut impl Write) -> Result<(), ExportError> {
          <MatrixData>1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1</MatrixData>\n</CoordinateSystemTransformMatrix>\n<Data>",
         texts(&[("GeometricType", "Anatomical".to_owned())])
     )?;
-    let turns = mesh.frame == Frame::Lps;
-    let mut outside = None;
+    let is_lps = mesh.frame == Frame::Lps;
+    let mut first_error = None;
     let positions = (0..mesh.positions.len()).map(|vertex| {
         let [x, y, z] = mesh.world_f32(vertex).unwrap_or_else(|error| {
-            outside.get_or_insert(error);
+            first_error.get_or_insert(error);
             [f32::NAN; 3]
         });
-        // `0.0 - x` rather than `-x`, which could be −0.
-        if turns { [0.0 - x, 0.0 - y, z] } else { [x, y, z] }
+        // Converts LPS to RAS. `0.0 - x` instead of `-x`, which could be −0.
+        if is_lps { [0.0 - x, 0.0 - y, z] } else { [x, y, z] }
     });
     compressed(out, positions)?;
-    if let Some(error) = outside {
+    if let Some(error) = first_error {
         return Err(error);
     }
     end(out)?;
@@ -83,6 +83,7 @@ fn topology(mesh: &Mesh) -> &'static str {
     if mesh.is_closed { "Closed" } else { "Open" }
 }
 
+/// Writes the start tag of an array with `rows` rows of three numbers.
 fn begin(out: &mut impl Write, intent: &str, kind: &str, rows: usize) -> Result<(), ExportError> {
     writeln!(
         out,
@@ -98,7 +99,7 @@ fn end(out: &mut impl Write) -> Result<(), ExportError> {
     Ok(())
 }
 
-/// Returns elements of names and texts.
+/// Returns a `MetaData` element with pairs of names and texts.
 fn texts(pairs: &[(&str, String)]) -> String {
     let pair = |(name, text): &(&str, String)| {
         format!(

@@ -1,9 +1,11 @@
 //! GLB, the binary form of glTF 2.0.
 //!
-//! A file has a node, a mesh and a material for each surface. A mesh has one primitive: loaders give each primitive vertices of its own,
-//! which would tear the surface at the borders between levels. Triangles are ordered by level, finest first; `extras.levelTriangles` has
-//! the number of triangles of each level. Positions are relative to the mesh's origin, along the axes of the volume's frame. The node
-//! converts them to the units and axes of glTF, metres with Y up, and moves them to their place. An empty surface is a scene without nodes.
+//! A file has a node, a mesh and a material for each surface. A mesh has only one primitive, because loaders do not share vertices between
+//! primitives, so that several primitives would tear the surface at the borders between levels. Triangles are ordered by level, finest
+//! first; `extras.levelTriangles` has the number of triangles of each level.
+//!
+//! Positions are relative to the origin of the mesh, along the axes of the volume's frame. The transform of the node converts them to
+//! metres with Y up, as glTF requires, and adds the origin. A file of an empty surface has a scene without nodes.
 
 pub mod packed;
 
@@ -20,7 +22,7 @@ const VERSION: u32 = 2;
 const JSON_CHUNK: &[u8; 4] = b"JSON";
 const BINARY_CHUNK: &[u8; 4] = b"BIN\0";
 
-/// Value that stands for a missing one.
+/// Value of missing values of fields, because glTF does not allow NaN.
 const MISSING: f32 = f32::MIN;
 
 // Constants of the glTF specification (those of WebGL).
@@ -31,22 +33,22 @@ const ARRAY_BUFFER: u32 = 34962;
 const ELEMENT_ARRAY_BUFFER: u32 = 34963;
 const TRIANGLES: u32 = 4;
 
-/// Writes `meshes` with `extras` under `asset.extras`. Attributes: `POSITION`, `NORMAL`, `_SMOOTHNESS` and `_FEATURE` (0 to 1), one of each
-/// field, such as `_TEMPERATURE`, and `COLOR_0` if the mesh has colours.
+/// Writes `meshes` with `extras` in `asset.extras`. The attributes are `POSITION`, `NORMAL`, `_SMOOTHNESS` and `_FEATURE` (0 to 1), one for
+/// each field, such as `_TEMPERATURE`, and `COLOR_0` if the mesh has colours.
 ///
 /// # Errors
-/// More than the 4 GiB of a GLB, or the errors of `out`.
+/// The file would exceed the 4 GiB of a GLB, or `out` fails.
 pub fn write(meshes: &[Mesh], extras: &Value, out: &mut impl Write) -> Result<(), ExportError> {
     let mut buffer = Buffer::default();
     let primitives = (0..)
-        .zip(shown(meshes))
+        .zip(non_empty(meshes))
         .map(|(i, mesh)| primitive(mesh, i, &mut buffer))
         .collect();
     let nodes = (0..)
-        .zip(shown(meshes))
+        .zip(non_empty(meshes))
         .map(|(i, mesh)| node_at(mesh, i, mesh.origin, 1.0))
         .collect();
-    let materials = shown(meshes).map(material).collect();
+    let materials = non_empty(meshes).map(material).collect();
     let mut json = document(meshes, extras, primitives, nodes, materials);
     if buffer.bytes > 0 {
         json["accessors"] = buffer.accessors.into();
@@ -54,15 +56,14 @@ pub fn write(meshes: &[Mesh], extras: &Value, out: &mut impl Write) -> Result<()
         json["buffers"] = json!([{ "byteLength": buffer.bytes }]);
     }
     write_chunks(&json, buffer.bytes, out)?;
-    // Writes the arrays in the order of the views.
-    shown(meshes).try_for_each(|mesh| write_arrays(mesh, out))
+    non_empty(meshes).try_for_each(|mesh| write_arrays(mesh, out))
 }
 
-/// Writes all that comes before the `binary` bytes of the binary chunk.
-fn write_chunks(json: &Value, binary: u64, out: &mut impl Write) -> Result<(), ExportError> {
+/// Writes the header, the JSON chunk, and the header of a binary chunk with `binary_bytes` bytes.
+fn write_chunks(json: &Value, binary_bytes: u64, out: &mut impl Write) -> Result<(), ExportError> {
     let mut text = serde_json::to_vec(json).map_err(std::io::Error::from)?;
     text.resize(text.len().next_multiple_of(4), b' ');
-    let binary_chunk = if binary > 0 { 8 + binary } else { 0 };
+    let binary_chunk = if binary_bytes > 0 { 8 + binary_bytes } else { 0 };
     let total = 12 + 8 + text.len() as u64 + binary_chunk;
     let total = fits_u32("file size in bytes", total, "GLB")?;
 
@@ -72,19 +73,19 @@ fn write_chunks(json: &Value, binary: u64, out: &mut impl Write) -> Result<(), E
     out.write_all(&(text.len() as u32).to_le_bytes())?;
     out.write_all(JSON_CHUNK)?;
     out.write_all(&text)?;
-    if binary > 0 {
-        out.write_all(&(binary as u32).to_le_bytes())?;
+    if binary_bytes > 0 {
+        out.write_all(&(binary_bytes as u32).to_le_bytes())?;
         out.write_all(BINARY_CHUNK)?;
     }
     Ok(())
 }
 
 /// Returns the meshes that have triangles.
-fn shown(meshes: &[Mesh]) -> impl Iterator<Item = &Mesh> {
+fn non_empty(meshes: &[Mesh]) -> impl Iterator<Item = &Mesh> {
     meshes.iter().filter(|mesh| !mesh.triangles.is_empty())
 }
 
-/// Writes the arrays of a mesh in the order of its views.
+/// Writes the arrays of a mesh in the order of their buffer views.
 fn write_arrays(mesh: &Mesh, out: &mut impl Write) -> Result<(), ExportError> {
     out.write_all(bytemuck::cast_slice(&mesh.positions))?;
     out.write_all(bytemuck::cast_slice(&mesh.normals))?;
@@ -92,14 +93,13 @@ fn write_arrays(mesh: &Mesh, out: &mut impl Write) -> Result<(), ExportError> {
     out.write_all(bytemuck::cast_slice(&mesh.feature))?;
     let mut rows = Vec::with_capacity(2 * PIECE_BYTES);
     for field in &mesh.fields {
-        // Replaces NaN, which glTF does not have.
         for value in &field.values {
             let value = if value.is_finite() { *value } else { MISSING };
             rows.extend_from_slice(&value.to_le_bytes());
             flush(&mut rows, out, PIECE_BYTES)?;
         }
     }
-    // Adds an alpha of 1, because attributes must begin at multiples of four bytes.
+    // Adds an alpha of 1, because the size of an attribute must be a multiple of four bytes.
     for &[r, g, b] in &mesh.colors {
         rows.extend_from_slice(bytemuck::bytes_of(&[r, g, b, u16::MAX]));
         flush(&mut rows, out, PIECE_BYTES)?;
@@ -109,7 +109,7 @@ fn write_arrays(mesh: &Mesh, out: &mut impl Write) -> Result<(), ExportError> {
     Ok(())
 }
 
-/// Returns the JSON of a file without its buffers. Without a primitive it is a scene without nodes.
+/// Returns the JSON of a file without buffers, buffer views and accessors. Without primitives, the scene has no nodes.
 fn document(
     meshes: &[Mesh],
     extras: &Value,
@@ -125,25 +125,25 @@ fn document(
     if primitives.is_empty() {
         return json!({ "asset": asset, "scene": 0, "scenes": [{ "name": "empty isosurface" }] });
     }
-    let named = |(mesh, primitive): (&Mesh, Value)| json!({ "name": mesh.name, "primitives": [primitive] });
+    let mesh_json = |(mesh, primitive): (&Mesh, Value)| json!({ "name": mesh.name, "primitives": [primitive] });
     json!({
         "asset": asset,
         "scene": 0,
         "scenes": [{ "nodes": (0..nodes.len()).collect::<Vec<_>>() }],
         "nodes": nodes,
-        "meshes": shown(meshes).zip(primitives).map(named).collect::<Vec<_>>(),
+        "meshes": non_empty(meshes).zip(primitives).map(mesh_json).collect::<Vec<_>>(),
         "materials": materials,
     })
 }
 
-/// Returns the primitive of a mesh, and adds the mesh's arrays to the buffer.
+/// Returns the primitive of a mesh, and adds the views and accessors of the mesh to the buffer.
 fn primitive(mesh: &Mesh, material: usize, buffer: &mut Buffer) -> Value {
     let vertices = mesh.positions.len();
     let (min, max) = bounds(&mesh.positions);
     let mut attributes = serde_json::Map::new();
-    let mut attribute = |name: &str, component: u32, shape: &str, bytes: usize, more: Value| {
+    let mut attribute = |name: &str, component: u32, shape: &str, bytes: usize, properties: Value| {
         let view = buffer.view(vertices * bytes, ARRAY_BUFFER);
-        let accessor = buffer.accessor(view, component, shape, vertices, more);
+        let accessor = buffer.accessor(view, component, shape, vertices, properties);
         attributes.insert(name.to_owned(), accessor.into());
     };
     attribute("POSITION", FLOAT, "VEC3", 12, json!({ "min": min, "max": max }));
@@ -165,19 +165,19 @@ fn primitive(mesh: &Mesh, material: usize, buffer: &mut Buffer) -> Value {
         "indices": indices,
         "material": material,
         "mode": TRIANGLES,
-        "extras": { "levelTriangles": mesh.level_triangles, "fields": names.described(mesh) },
+        "extras": { "levelTriangles": mesh.level_triangles, "fields": names.descriptions(mesh) },
     })
 }
 
-/// Returns the material of a mesh. It is given in full, because glTF's default is metallic and one-sided.
+/// Returns the material of a mesh. States all properties, because glTF's default material is metallic and one-sided.
 fn material(mesh: &Mesh) -> Value {
-    let mut rough = json!({ "metallicFactor": 0.0, "roughnessFactor": 0.8 });
+    let mut surface = json!({ "metallicFactor": 0.0, "roughnessFactor": 0.8 });
     let Material { color, opacity } = mesh.material;
     if color.is_some() || opacity < 1.0 {
         let [red, green, blue] = color.unwrap_or([255; 3]).map(|byte| linear(f32::from(byte) / 255.0));
-        rough["baseColorFactor"] = json!([red, green, blue, opacity]);
+        surface["baseColorFactor"] = json!([red, green, blue, opacity]);
     }
-    let mut material = json!({ "name": mesh.name, "pbrMetallicRoughness": rough, "doubleSided": true });
+    let mut material = json!({ "name": mesh.name, "pbrMetallicRoughness": surface, "doubleSided": true });
     if opacity < 1.0 {
         material["alphaMode"] = "BLEND".into();
     }
@@ -188,13 +188,13 @@ fn material(mesh: &Mesh) -> Value {
 struct Attributes(Vec<String>);
 
 impl Attributes {
-    /// Converts names to capital letters, as glTF requires.
+    /// Converts names to upper case, as glTF requires.
     fn of(names: &[String]) -> Self {
         Self(names.iter().map(|name| name.to_ascii_uppercase()).collect())
     }
 
-    /// Returns the descriptions of all attributes. Missing values are [`MISSING`].
-    fn described(&self, mesh: &Mesh) -> Vec<Value> {
+    /// Returns a description of each attribute for `extras`: field, unit, range and the value of missing ones.
+    fn descriptions(&self, mesh: &Mesh) -> Vec<Value> {
         let field = |(field, attribute): (&FieldValues, &String)| {
             let present = field.values.iter().filter(|value| value.is_finite());
             let range = present.fold(None, |range: Option<[f32; 2]>, &value| {
@@ -213,8 +213,9 @@ impl Attributes {
     }
 }
 
-/// Returns the node that turns positions into metres with Y up: a patient's head (LPS) is up, and the face looks along +Z, as glTF
-/// requires. Without a unit one world unit is one metre. Positions are multiples of `step` from `origin`, both in world units.
+/// Returns the node of a mesh, whose transform converts positions to metres with Y up. In LPS, a patient's head is up and the face looks
+/// along +Z, as glTF requires. A world unit is a metre if the mesh has no unit. Positions are multiples of `step`, relative to `origin`,
+/// both in world units.
 fn node_at(mesh: &Mesh, number: usize, origin: [f64; 3], step: f64) -> Value {
     use std::f64::consts::FRAC_1_SQRT_2;
     let metres = mesh.unit.and_then(LengthUnit::metres).unwrap_or(1.0);
@@ -230,7 +231,7 @@ fn node_at(mesh: &Mesh, number: usize, origin: [f64; 3], step: f64) -> Value {
     })
 }
 
-/// Consecutive views of the binary chunk, and their accessors.
+/// Views of consecutive parts of the binary chunk, and their accessors.
 #[derive(Default)]
 struct Buffer {
     bytes: u64,
@@ -239,6 +240,7 @@ struct Buffer {
 }
 
 impl Buffer {
+    /// Adds a view of the next `bytes` bytes, and returns its number.
     fn view(&mut self, bytes: usize, target: u32) -> usize {
         self.views.push(json!({
             "buffer": 0,
@@ -250,13 +252,14 @@ impl Buffer {
         self.views.len() - 1
     }
 
-    fn accessor(&mut self, view: usize, component: u32, shape: &str, count: usize, more: Value) -> usize {
-        self.accessors.push(accessor(view, component, shape, count, more));
+    /// Adds an accessor with additional `properties`, and returns its number.
+    fn accessor(&mut self, view: usize, component: u32, shape: &str, count: usize, properties: Value) -> usize {
+        self.accessors.push(accessor(view, component, shape, count, properties));
         self.accessors.len() - 1
     }
 }
 
-fn accessor(view: usize, component: u32, shape: &str, count: usize, more: Value) -> Value {
+fn accessor(view: usize, component: u32, shape: &str, count: usize, properties: Value) -> Value {
     let mut accessor = json!({
         "bufferView": view,
         "byteOffset": 0,
@@ -264,12 +267,13 @@ fn accessor(view: usize, component: u32, shape: &str, count: usize, more: Value)
         "type": shape,
         "count": count,
     });
-    if let (Value::Object(accessor), Value::Object(more)) = (&mut accessor, more) {
-        accessor.extend(more);
+    if let (Value::Object(accessor), Value::Object(properties)) = (&mut accessor, properties) {
+        accessor.extend(properties);
     }
     accessor
 }
 
+/// Returns the minimum and maximum of each component.
 fn bounds(positions: &[[f32; 3]]) -> ([f32; 3], [f32; 3]) {
     positions
         .iter()

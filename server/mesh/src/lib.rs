@@ -1,9 +1,11 @@
-//! A surface as one mesh, and as a file.
+//! Converts a surface to one mesh, and writes meshes as files.
 //!
-//! [`Mesh`] joins the regions of a surface into one mesh in the world. [`topology`] splits vertices at which sheets touch, [`clean`] moves
-//! vertices so that no triangles intersect, and keeps those on a cap there ([`caps`]). [`Content`] writes meshes in one of nine formats. Each
-//! file names the frame and the unit of its positions, and the volume's notices. The writers are our own: each is shorter than
-//! the conversion to a library's mesh would be, and does not hold the file in memory, unless it is compressed.
+//! [`Mesh`] joins the regions of a surface to one mesh in the world. [`topology`] splits vertices at which sheets touch. [`clean`] moves
+//! vertices so that no triangles intersect, and keeps vertices of a cap on its face ([`caps`]). [`Content`] writes meshes in one of nine
+//! formats. Each file states the frame and the unit of its positions, and the notices of the volume.
+//!
+//! This crate has its own writers instead of libraries. A writer is shorter than a conversion to the mesh type of a library, and does not
+//! hold the file in memory, unless the file is compressed.
 
 use std::io::{self, BufWriter, Write};
 use std::path::Path;
@@ -33,7 +35,7 @@ pub mod xml;
 
 pub use mesh::Mesh;
 
-// Arrays are written as they are in memory, and all formats are little-endian.
+// The writers copy arrays from memory, and all binary formats here are little-endian.
 const _: () = assert!(
     cfg!(target_endian = "little"),
     "isopeel's exports need a little-endian machine"
@@ -88,7 +90,7 @@ impl Compress {
         *self == Self::None
     }
 
-    /// Its name in JSON and on the command line.
+    /// Returns the name in JSON and on the command line.
     pub const fn name(self) -> &'static str {
         match self {
             Self::None => "none",
@@ -97,7 +99,7 @@ impl Compress {
         }
     }
 
-    /// Whether files of a format can be compressed in this way.
+    /// Whether this compression applies to files of a format.
     pub const fn applies_to(self, format: Format) -> bool {
         match self {
             Self::None => true,
@@ -106,7 +108,7 @@ impl Compress {
         }
     }
 
-    /// Returns the formats whose files can be compressed in this way, for error messages.
+    /// Returns the formats to which this compression applies, for error messages.
     pub const fn expected(self) -> &'static str {
         match self {
             Self::None => "any format",
@@ -117,10 +119,10 @@ impl Compress {
 }
 
 impl Format {
-    /// The names of all formats, for error messages.
+    /// Names of all formats, for error messages.
     pub const EXPECTED: &str = "glb, ply, stl, vtp, obj, 3mf, gifti, precomputed or usdz";
 
-    /// Endings of file names, with their formats.
+    /// Suffixes of file names, and the formats that they imply.
     const ENDINGS: [(&str, Self); 10] = [
         (".glb", Self::Glb),
         (".ply", Self::Ply),
@@ -144,22 +146,22 @@ impl Format {
             .unwrap_or_default()
             .to_string_lossy()
             .to_ascii_lowercase();
-        let found = Self::ENDINGS.iter().find(|(ending, _)| name.ends_with(ending));
+        let entry = Self::ENDINGS.iter().find(|(ending, _)| name.ends_with(ending));
         let unknown = || ExportError::UnknownExtension(path.display().to_string());
-        found.map(|&(_, format)| format).ok_or_else(unknown)
+        entry.map(|&(_, format)| format).ok_or_else(unknown)
     }
 
-    /// Its name in JSON.
+    /// Returns the name in JSON.
     pub const fn name(self) -> &'static str {
         match self {
             Self::ThreeMf => "3mf",
             Self::Gifti => "gifti",
             Self::Precomputed => "precomputed",
-            short => short.extension(),
+            other => other.extension(),
         }
     }
 
-    /// Its name for people.
+    /// Returns the name for messages to users.
     pub const fn title(self) -> &'static str {
         match self {
             Self::Glb => "GLB",
@@ -174,7 +176,7 @@ impl Format {
         }
     }
 
-    /// Extension without the dot.
+    /// Returns the file extension without its first dot.
     pub const fn extension(self) -> &'static str {
         match self {
             Self::Glb => "glb",
@@ -189,7 +191,8 @@ impl Format {
         }
     }
 
-    /// Returns about how many bytes a closed surface with the values of `fields` fields takes. It has half as many vertices as triangles.
+    /// Estimates the bytes of a file with a closed surface and the values of `fields` fields. Such a surface has half as many vertices as
+    /// triangles.
     pub const fn typical_bytes(self, triangles: u64, fields: u64) -> u64 {
         let per_triangle = match self {
             // Vertices of 42 bytes (position, normal, two features, colour), three indices of 4.
@@ -198,7 +201,7 @@ impl Format {
             Self::Ply => 35,
             // Normal, corners, two bytes.
             Self::Stl => 50,
-            // As PLY, with a level and four indices of 4.
+            // Vertices as in PLY; a level and four indices of 4.
             Self::Vtp => 39,
             // Lines of some 60 bytes a vertex, and of 50 a triangle.
             Self::Obj => 80,
@@ -211,14 +214,14 @@ impl Format {
         };
         let per_value = match self {
             Self::Glb | Self::Ply | Self::Vtp => 4,
-            // Text.
+            // Text of some 12 bytes.
             Self::Usdz => 12,
             _ => 0,
         };
         triangles.saturating_mul(per_triangle + fields * per_value / 2)
     }
 
-    /// Media type for HTTP.
+    /// Returns the media type for HTTP.
     pub const fn content_type(self) -> &'static str {
         match self {
             Self::Glb => "model/gltf-binary",
@@ -232,12 +235,12 @@ impl Format {
         }
     }
 
-    /// Whether a file holds values of fields.
+    /// Whether a file can hold values of fields.
     pub const fn holds_values(self) -> bool {
         matches!(self, Self::Glb | Self::Ply | Self::Vtp | Self::Usdz)
     }
 
-    /// Whether a file holds the name of its surface.
+    /// Whether a file can hold the names of surfaces.
     pub const fn holds_names(self) -> bool {
         matches!(
             self,
@@ -245,12 +248,12 @@ impl Format {
         )
     }
 
-    /// Whether a file holds the colour of its surface.
+    /// Whether a file can hold a colour for each surface.
     pub const fn holds_color(self) -> bool {
         matches!(self, Self::Glb | Self::Obj | Self::ThreeMf | Self::Usdz)
     }
 
-    /// Whether a file holds the colours of a transfer function.
+    /// Whether a file can hold a colour for each vertex, from a transfer function.
     pub const fn holds_colors(self) -> bool {
         matches!(
             self,
@@ -258,12 +261,12 @@ impl Format {
         )
     }
 
-    /// Whether a file holds the opacity of its surface.
+    /// Whether a file can hold an opacity for each surface.
     pub const fn holds_opacity(self) -> bool {
         matches!(self, Self::Glb | Self::ThreeMf | Self::Usdz)
     }
 
-    /// Whether a file holds several surfaces.
+    /// Whether a file can hold several surfaces.
     pub const fn holds_several(self) -> bool {
         matches!(
             self,
@@ -276,7 +279,7 @@ impl Format {
         matches!(self, Self::Stl | Self::Gifti | Self::Precomputed)
     }
 
-    /// The unit that positions are always in, if there is one.
+    /// Returns the unit that the format prescribes for positions; `None` if a file can have any unit.
     pub const fn unit(self) -> Option<LengthUnit> {
         match self {
             Self::Stl | Self::ThreeMf | Self::Gifti => Some(LengthUnit::Millimetre),
@@ -290,30 +293,30 @@ impl Format {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ExportError {
-    /// The file's name does not imply a format.
+    /// The file name does not imply a format.
     #[error(
         "{0:?} does not say the format: expected a name that ends in .glb, .ply, .stl, .vtp, .obj, .3mf, .surf.gii, .precomputed.zip or .usdz"
     )]
     UnknownExtension(String),
-    /// More than the format or its 32-bit numbers can hold.
+    /// A count exceeds the limit of the format.
     #[error("{what}: {found}, {format} allows {limit}")]
     TooLarge {
-        /// What is too large, with its unit.
+        /// Name and unit of the count.
         what: &'static str,
-        /// Its size.
+        /// The count.
         found: u64,
-        /// Its maximum.
+        /// Maximum of the count.
         limit: u64,
         /// The format with this limit.
         format: &'static str,
     },
-    /// World coordinates do not fit the numbers of the format.
+    /// World coordinates exceed the range of the format's numbers.
     #[error("a vertex lies at {0:?} world units, beyond what the numbers of the format hold")]
     OutOfRange([f64; 3]),
-    /// The regions of the surface do not make a mesh.
+    /// The regions of the surface are inconsistent.
     #[error(transparent)]
     Join(JoinError),
-    /// The request was cancelled: no client waits for its result any more.
+    /// The caller has cancelled.
     #[error("cancelled")]
     Cancelled,
     /// Writing failed.
@@ -336,16 +339,16 @@ impl From<JoinError> for ExportError {
     }
 }
 
-/// Content of a file, before it is encoded.
+/// Content of a file that is not encoded yet.
 #[derive(Clone, Debug)]
 pub struct Content {
-    /// Its surfaces; one, if the format does not hold several.
+    /// The surfaces. Exactly one, unless the format can hold several.
     pub meshes: Vec<Mesh>,
-    /// Its format.
+    /// File format.
     pub format: Format,
-    /// How it is compressed.
+    /// Compression of the file.
     pub compress: Compress,
-    /// The `asset.extras` of a GLB; the other formats have no field for it.
+    /// The `asset.extras` of a GLB. Other formats ignore it.
     pub extras: serde_json::Value,
 }
 
@@ -370,6 +373,7 @@ impl Content {
         }
     }
 
+    /// Returns the only mesh.
     fn only(&self) -> Result<&Mesh, ExportError> {
         match &self.meshes[..] {
             [mesh] => Ok(mesh),
@@ -382,11 +386,11 @@ impl Content {
         }
     }
 
-    /// Returns length and hash of the bytes that [`Content::write`] writes.
+    /// Returns length and hash of the bytes that [`Content::write`] produces. If this succeeds, [`Content::write`] fails only if `out`
+    /// fails.
     ///
     /// # Errors
-    /// The format cannot hold the content. If this succeeds, [`Content::write`] fails only if `out` does. [`ExportError::Io`] if it is
-    /// cancelled.
+    /// The format cannot hold the content. [`ExportError::Io`] if `is_cancelled` returns true.
     pub fn digest(&self, is_cancelled: &dyn Fn() -> bool) -> Result<FileDigest, ExportError> {
         let digester = Digester {
             bytes: 0,
@@ -401,13 +405,13 @@ impl Content {
     }
 }
 
-/// Maximum bytes of a part of a ZIP with short headers.
+/// Maximum bytes of a file in a ZIP without the headers of ZIP64.
 const MAX_SHORT_PART: u64 = u32::MAX as u64;
 
-/// Bytes of rows that are collected before they are written.
+/// Bytes of rows that are buffered before they are written.
 const PIECE_BYTES: usize = 1 << 16;
 
-/// Writes the collected rows and clears them, if they take more than `limit` bytes.
+/// Writes the buffered rows and clears them, if they have more than `limit` bytes.
 fn flush(rows: &mut Vec<u8>, out: &mut impl Write, limit: usize) -> Result<(), ExportError> {
     if rows.len() > limit {
         out.write_all(rows)?;
@@ -416,19 +420,19 @@ fn flush(rows: &mut Vec<u8>, out: &mut impl Write, limit: usize) -> Result<(), E
     Ok(())
 }
 
-/// Length and hash of a file, before it is written.
+/// Length and hash of a file, known before the file is written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FileDigest {
-    /// Its length.
+    /// Length in bytes.
     pub bytes: u64,
-    /// XXH3 of all of it.
+    /// 128-bit XXH3 of all bytes.
     pub hash: u128,
 }
 
 /// Bytes that are hashed at once.
 const DIGEST_BUFFER_BYTES: usize = 1 << 16;
 
-/// Counts and hashes bytes, and discards them.
+/// Writer that counts, hashes and discards its bytes.
 struct Digester<'a> {
     bytes: u64,
     hasher: Xxh3,
@@ -450,7 +454,7 @@ impl Write for Digester<'_> {
     }
 }
 
-/// Checks that `found` fits the format's 32-bit counter.
+/// Converts a count to 32 bits. Returns [`ExportError::TooLarge`] if it does not fit.
 fn fits_u32(what: &'static str, found: u64, format: &'static str) -> Result<u32, ExportError> {
     u32::try_from(found).map_err(|_| ExportError::TooLarge {
         what,

@@ -11,30 +11,30 @@ use super::ExportError;
 use super::caps::ToCaps;
 use super::transform::Transform;
 
-/// A surface in world units. Vertices that regions share are joined, triangles ordered by level, finest first.
+/// A surface in world units. Vertices that several regions share are joined. Triangles are ordered by level, finest first.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Mesh {
     /// World position to which `positions` are relative.
     pub origin: [f64; 3],
-    /// Positions, relative to `origin` and along the world's axes.
+    /// Positions of the vertices relative to `origin`, along the axes of the world.
     pub positions: Vec<[f32; 3]>,
-    /// Unit normals towards lower values, in the world.
+    /// Unit normals of the vertices in the world, towards lower values.
     pub normals: Vec<[f32; 3]>,
-    /// Smoothness feature `s` of a vertex, 0 to 1.
+    /// Smoothness feature `s` of the vertices, 0 to 1.
     pub smoothness: Vec<f32>,
-    /// Normalised user feature `f̂` of a vertex, 0 to 1.
+    /// Normalised user feature `f̂` of the vertices, 0 to 1.
     pub feature: Vec<f32>,
-    /// Positions in index space. They are kept until the values of fields have been looked up there.
+    /// Positions of the vertices in index space. Needed to sample fields and to find caps, and empty afterwards.
     pub index: Vec<[f32; 3]>,
-    /// The faces of the volume that each vertex of a capped surface lies on or near; empty without caps.
+    /// Position of each vertex relative to the caps; empty without caps.
     pub caps: Vec<ToCaps>,
     /// Values of fields at the vertices.
     pub fields: Vec<FieldValues>,
-    /// Linear RGB of a vertex, 0 to 65535; empty without a transfer function.
+    /// Linear RGB of the vertices, 0 to 65535; empty without a transfer function.
     pub colors: Vec<[u16; 3]>,
-    /// Triangles, counter-clockwise seen from the side of lower values, finest level first.
+    /// Triangles, counter-clockwise as seen from the side of lower values, finest level first.
     pub triangles: Vec<[u32; 3]>,
-    /// Triangles of each level, 0 (finest) first.
+    /// Number of triangles of each level, 0 (finest) first.
     pub level_triangles: [u64; 6],
     /// Directions of the axes of the positions.
     pub frame: Frame,
@@ -42,24 +42,24 @@ pub struct Mesh {
     pub unit: Option<LengthUnit>,
     /// Smallest distance between samples along an axis.
     pub smallest_spacing: f64,
-    /// Notices on the volume, a line each.
+    /// Notices about the volume.
     pub notices: Vec<String>,
-    /// Name of the surface, for people: `head: t1 = 517`.
+    /// Name of the surface for users, such as `head: t1 = 517`.
     pub name: String,
-    /// Provenance of the surface: names and texts, for formats that hold some.
+    /// Provenance of the surface as pairs of name and text, for formats with metadata.
     pub provenance: Vec<(&'static str, String)>,
     /// Whether each edge has two triangles.
     pub is_closed: bool,
-    /// Look of the whole surface.
+    /// Colour and opacity of the whole surface.
     pub material: Material,
 }
 
-/// Look of a surface as a whole.
+/// Colour and opacity of a whole surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Material {
     /// Colour in sRGB, if the surface has one.
     pub color: Option<[u8; 3]>,
-    /// 1 is opaque, 0 cannot be seen.
+    /// Opacity from 0, invisible, to 1, opaque.
     pub opacity: f32,
 }
 
@@ -79,26 +79,26 @@ pub struct FieldValues {
     pub name: String,
     /// Unit of the values, if the volume declares one.
     pub unit: Option<String>,
-    /// A value for each vertex; NaN if it is missing.
+    /// Value at each vertex; NaN if it is missing.
     pub values: Vec<f32>,
 }
 
 impl Mesh {
-    /// Joins the regions of a surface. Vertices of different regions whose attributes are all equal become one. All triangles are kept,
-    /// including degenerate ones; their winding is flipped if `direction` mirrors.
+    /// Joins the regions of a surface. Vertices of different regions are joined if all their attributes are equal. Keeps all triangles,
+    /// including degenerate ones. Flips the triangles if the axes of the geometry include a reflection.
     ///
     /// # Errors
-    /// More vertices than 32-bit indices reach, coordinates beyond 32-bit floats, or a region whose indices or
-    /// levels do not fit its vertices and triangles.
+    /// The surface has too many vertices for 32-bit indices, a coordinate exceeds 32-bit floats, or the indices or levels of a region are
+    /// inconsistent with its vertices and triangles.
     pub fn new(surface: &Surface, geometry: &Geometry) -> Result<Self, ExportError> {
         Self::new_unless(surface, geometry, None, &|| false)
     }
 
-    /// As [`Mesh::new`], but can be cancelled: polls `is_cancelled` now and then. `uneven`: the axes whose samples, unlike those in
-    /// `geometry`, are not evenly spaced, and the mesher that made the surface.
+    /// Joins the regions of a surface as [`Mesh::new`] does, but can be cancelled. `uneven` are the axes of a volume whose samples are not
+    /// evenly spaced, although they are in `geometry`, and the mesher that has made the surface.
     ///
     /// # Errors
-    /// Those of [`Mesh::new`], and [`ExportError::Cancelled`].
+    /// As [`Mesh::new`], and [`ExportError::Cancelled`] if `is_cancelled` returns true.
     pub fn new_unless(
         surface: &Surface,
         geometry: &Geometry,
@@ -113,8 +113,8 @@ impl Mesh {
             unit: geometry.unit,
             ..Self::default()
         };
-        let held: usize = surface.regions.iter().map(|region| region.vertices.len()).sum();
-        mesh.reserve(held);
+        let vertices: usize = surface.regions.iter().map(|region| region.vertices.len()).sum();
+        mesh.reserve(vertices);
         let joined = join(&surface.regions, is_cancelled, |lattice, vertex| {
             mesh.push(vertex, lattice, &transform)
         })?;
@@ -125,7 +125,7 @@ impl Mesh {
         Ok(mesh)
     }
 
-    /// Adds a copy of a vertex, and returns its number.
+    /// Adds a copy of a vertex, and returns the number of the copy.
     pub(crate) fn copy_vertex(&mut self, vertex: usize) -> u32 {
         self.positions.push(self.positions[vertex]);
         self.normals.push(self.normals[vertex]);
@@ -143,7 +143,7 @@ impl Mesh {
         self.positions.len() as u32 - 1
     }
 
-    /// Turns the mesh inside out: flips the winding of the triangles, and the normals.
+    /// Turns the mesh inside out: flips the triangles and the normals.
     pub fn flip(&mut self) {
         self.triangles.iter_mut().for_each(|[_, b, c]| std::mem::swap(b, c));
         for component in self.normals.as_flattened_mut() {
@@ -151,13 +151,13 @@ impl Mesh {
         }
     }
 
-    /// World position of a vertex.
+    /// Returns the world position of a vertex.
     pub fn world(&self, vertex: usize) -> [f64; 3] {
         let position = self.positions[vertex];
         [0, 1, 2].map(|axis| self.origin[axis] + f64::from(position[axis]))
     }
 
-    /// World position of a vertex in 32 bits.
+    /// Returns the world position of a vertex in 32 bits.
     ///
     /// # Errors
     /// [`ExportError::OutOfRange`].
@@ -171,8 +171,8 @@ impl Mesh {
         }
     }
 
-    /// Gives every vertex the colour that `transfer` has at its blended feature `(1 − alpha)·s + alpha·f̂`, linear
-    /// in sRGB between points as in the viewer. Points whose colour is not `#rrggbb` are ignored.
+    /// Sets the colour of each vertex: the value of `transfer` at the blended feature `(1 − alpha)·s + alpha·f̂`. Interpolates linearly in
+    /// sRGB between points, as the viewer does. Ignores points whose colour is not `#rrggbb`.
     pub fn colorize(&mut self, transfer: &TransferFunctionJson, alpha: f32) {
         let mut points: Vec<(f32, [f32; 3])> = transfer
             .points
@@ -198,10 +198,11 @@ impl Mesh {
         self.feature.reserve(vertices);
     }
 
+    /// Adds a vertex at a lattice position of the whole volume.
     fn push(&mut self, vertex: &Vertex, lattice: [i64; 3], transform: &Transform<'_>) -> Result<(), ExportError> {
         self.positions.push(transform.position(lattice)?);
         self.index
-            .push(lattice.map(|at| (at as f64 / f64::from(Vertex::LATTICE)) as f32));
+            .push(lattice.map(|coordinate| (coordinate as f64 / f64::from(Vertex::LATTICE)) as f32));
         self.normals.push(transform.normal(lattice, vertex.unit_normal()));
         self.smoothness.push(f32::from(vertex.smoothness) / 65535.0);
         self.feature.push(f32::from(vertex.feature) / 65535.0);
@@ -209,19 +210,19 @@ impl Mesh {
     }
 }
 
-/// `#rrggbb` as three bytes.
+/// Parses `#rrggbb` as three bytes.
 pub fn rgb(color: &str) -> Option<[u8; 3]> {
     let digits = color.strip_prefix('#').filter(|d| d.len() == 6 && d.is_ascii())?;
     let [_, bytes @ ..] = u32::from_str_radix(digits, 16).ok()?.to_be_bytes();
     Some(bytes)
 }
 
-/// `#rrggbb` as three numbers in 0 to 1.
+/// Parses `#rrggbb` as three numbers from 0 to 1.
 fn srgb(color: &str) -> Option<[f32; 3]> {
     Some(rgb(color)?.map(|byte| f32::from(byte) / 255.0))
 }
 
-/// Returns the colour at `x`: piecewise linear between points sorted by `x`, constant beyond the ends.
+/// Returns the colour at `x`. Interpolates linearly between `points`, which are sorted by their `x`, and is constant beyond the ends.
 fn color_at(points: &[(f32, [f32; 3])], x: f32) -> [f32; 3] {
     let right = points.partition_point(|p| p.0 <= x);
     match right {
@@ -235,40 +236,40 @@ fn color_at(points: &[(f32, [f32; 3])], x: f32) -> [f32; 3] {
     }
 }
 
-/// Returns names of attributes for the fields of a mesh: a prefix, and the field's own name with anything but ASCII letters and digits as
-/// `_`. A number is appended if another attribute has that name.
+/// Returns distinct attribute names for the fields of a mesh: the prefix, and the name of the field as by [`plain`]. Appends a number to a
+/// name that another attribute already has. `taken` are the names of other attributes.
 pub(crate) fn attribute_names(mesh: &Mesh, prefix: &str, taken: &[&str]) -> Vec<String> {
     let names = mesh
         .fields
         .iter()
         .map(|field| format!("{prefix}{}", plain(&field.name)));
-    free_names(names, taken)
+    distinct_names(names, taken)
 }
 
-/// Returns a text with anything but ASCII letters and digits as `_`.
+/// Replaces all characters except ASCII letters and digits by `_`.
 pub(crate) fn plain(text: &str) -> String {
     let plain = |c: char| if c.is_ascii_alphanumeric() { c } else { '_' };
     text.chars().map(plain).collect()
 }
 
-/// Returns names with a number appended to those that another one, or one that is `taken`, has.
-pub(crate) fn free_names(wanted: impl Iterator<Item = String>, taken: &[&str]) -> Vec<String> {
+/// Makes names distinct from each other and from `taken`, by appending numbers.
+pub(crate) fn distinct_names(wanted: impl Iterator<Item = String>, taken: &[&str]) -> Vec<String> {
     let mut names: Vec<String> = taken.iter().map(|&name| name.to_owned()).collect();
     for name in wanted {
-        names.push(free_name(name, &names));
+        names.push(distinct_name(name, &names));
     }
     names.split_off(taken.len())
 }
 
-/// Returns a name, with a number appended if another one has it, compared without regard to case.
-fn free_name(name: String, taken: &[String]) -> String {
-    let free = |name: &String| !taken.iter().any(|other| other.eq_ignore_ascii_case(name));
+/// Returns the name, with a number appended if the name is taken. Ignores case.
+fn distinct_name(name: String, taken: &[String]) -> String {
+    let is_free = |name: &String| !taken.iter().any(|other| other.eq_ignore_ascii_case(name));
     let numbered = (2..).map(|n| format!("{name}_{n}"));
-    let found = std::iter::once(name.clone()).chain(numbered).find(free);
-    found.unwrap_or(name)
+    let distinct = std::iter::once(name.clone()).chain(numbered).find(is_free);
+    distinct.unwrap_or(name)
 }
 
-/// Converts a text to a line of ASCII. Other characters are escaped as in Rust.
+/// Converts a text to one line of printable ASCII. Escapes other characters as in Rust.
 pub fn ascii(text: &str) -> String {
     let escaped = |c: char| match c {
         ' '..='~' => c.to_string(),
@@ -277,7 +278,7 @@ pub fn ascii(text: &str) -> String {
     text.chars().map(escaped).collect()
 }
 
-/// Converts a linear colour to bytes of sRGB, which PLY and VTP use.
+/// Converts a linear colour to bytes in sRGB.
 pub(crate) fn srgb_bytes(color: [u16; 3]) -> [u8; 3] {
     color.map(|component| {
         let linear = f32::from(component) / 65535.0;
@@ -290,7 +291,7 @@ pub(crate) fn srgb_bytes(color: [u16; 3]) -> [u8; 3] {
     })
 }
 
-/// Converts from sRGB to linear (IEC 61966-2-1), as glTF defines vertex colours.
+/// Converts a component from sRGB to linear (IEC 61966-2-1). Vertex colours of glTF are linear.
 pub(crate) fn linear(srgb: f32) -> f32 {
     if srgb <= 0.040_45 {
         srgb / 12.92

@@ -1,4 +1,4 @@
-//! Wavefront OBJ: text, several surfaces as objects.
+//! Wavefront OBJ: a text format. Several surfaces are several objects.
 
 use std::io::Write;
 
@@ -8,14 +8,14 @@ use super::decimal::{Decimals, push_whole};
 use super::mesh::{ascii, srgb_bytes};
 use super::{ExportError, Mesh, PIECE_BYTES, flush};
 
-/// Writes `meshes`, an object each: positions as decimal numbers that are rounded by less than a hundred-thousandth of the smallest spacing
-/// wherever they are, colours behind them as most readers take them, and normals. Comments name frame, unit, provenance and notices.
+/// Writes `meshes` as one object each: world positions, colours after the positions, which most readers accept, and normals. Positions are
+/// rounded by less than a hundred-thousandth of the smallest spacing. Comments contain frame, unit, provenance and notices.
 ///
 /// # Errors
-/// Those of `out`.
+/// Errors of `out`.
 pub fn write(meshes: &[Mesh], out: &mut impl Write) -> Result<(), ExportError> {
     let mut text = format!("# isopeel {}\n", env!("CARGO_PKG_VERSION")).into_bytes();
-    // Vertices are numbered from 1, through all objects.
+    // Vertices are numbered from 1 through all objects.
     let mut first = 1;
     for mesh in meshes {
         comments(mesh, &mut text);
@@ -42,8 +42,8 @@ pub fn write(meshes: &[Mesh], out: &mut impl Write) -> Result<(), ExportError> {
 
 /// Writes positions with their colours, then normals.
 fn vertices(mesh: &Mesh, text: &mut Vec<u8>, out: &mut impl Write) -> Result<(), ExportError> {
-    let (decimals, shares) = (Decimals::of_spacing(mesh.smallest_spacing), Decimals::new(4));
-    let color_of_all = mesh
+    let (decimals, unit_decimals) = (Decimals::of_spacing(mesh.smallest_spacing), Decimals::new(4));
+    let surface_color = mesh
         .material
         .color
         .map(|color| color.map(|byte| f64::from(byte) / 255.0));
@@ -53,11 +53,11 @@ fn vertices(mesh: &Mesh, text: &mut Vec<u8>, out: &mut impl Write) -> Result<(),
             text.push(b' ');
             decimals.push(text, component);
         }
-        let of_vertex = mesh.colors.get(vertex);
-        let color = of_vertex.map(|&color| srgb_bytes(color).map(|byte| f64::from(byte) / 255.0));
-        for component in color.or(color_of_all).into_iter().flatten() {
+        let vertex_color = mesh.colors.get(vertex);
+        let vertex_color = vertex_color.map(|&color| srgb_bytes(color).map(|byte| f64::from(byte) / 255.0));
+        for component in vertex_color.or(surface_color).into_iter().flatten() {
             text.push(b' ');
-            shares.push(text, component);
+            unit_decimals.push(text, component);
         }
         text.push(b'\n');
         flush(text, out, PIECE_BYTES)?;
@@ -66,7 +66,7 @@ fn vertices(mesh: &Mesh, text: &mut Vec<u8>, out: &mut impl Write) -> Result<(),
         text.extend_from_slice(b"vn");
         for &component in normal {
             text.push(b' ');
-            shares.push(text, component.into());
+            unit_decimals.push(text, component.into());
         }
         text.push(b'\n');
         flush(text, out, PIECE_BYTES)?;

@@ -7,12 +7,12 @@ use isopeel_volumes::LengthUnit;
 use super::mesh::{ascii, attribute_names, srgb_bytes};
 use super::{ExportError, Mesh, PIECE_BYTES, flush};
 
-/// Writes `mesh`: a vertex has position (64 bits, so that far from the origin nothing is lost), normal, `smoothness` and `feature` (0 to 1), a face its three corners. Faces come by level,
-/// finest first; a comment has their numbers. A property of faces beside the list of corners would be rejected by readers that
-/// expect lists alone (meshio).
+/// Writes `mesh`. A vertex has position, normal, `smoothness` and `feature` (0 to 1). Positions have 64 bits, so that they are exact even
+/// far from the origin. A face has three corners. Faces are ordered by level, finest first, and a comment states their number at each
+/// level, because some readers (meshio) reject faces with properties other than a list of corners.
 ///
 /// # Errors
-/// Those of `out`.
+/// Errors of `out`.
 pub fn write(mesh: &Mesh, out: &mut impl Write) -> Result<(), ExportError> {
     write!(
         out,
@@ -56,7 +56,7 @@ pub fn write(mesh: &Mesh, out: &mut impl Write) -> Result<(), ExportError> {
     flush(&mut rows, out, 0)
 }
 
-/// Returns a comment with the patient's axes, in the form that 3D Slicer reads; empty for other axes.
+/// Returns a comment about the anatomical frame in the form that 3D Slicer reads; empty for other frames.
 fn space(mesh: &Mesh) -> String {
     match mesh.frame.is_anatomical() {
         true => format!("comment SPACE={}\n", mesh.frame.name()),
@@ -64,11 +64,11 @@ fn space(mesh: &Mesh) -> String {
     }
 }
 
-/// Maximum bytes of a comment's text. A longer text continues in another comment of the same name, because common readers refuse lines of
-/// 1024 bytes.
+/// Maximum bytes of the text of a comment. A longer text continues in another comment with the same name, because common readers refuse
+/// lines of 1024 bytes.
 const MAX_COMMENT: usize = 400;
 
-/// Returns comments on the surface's provenance and fields, and the volume's notices. Comments are ASCII.
+/// Returns comments about provenance, fields and notices, in ASCII.
 fn comments(mesh: &Mesh) -> String {
     let comment = |name: &str, text: &str| {
         let text = ascii(text);
@@ -89,7 +89,7 @@ fn comments(mesh: &Mesh) -> String {
         .collect()
 }
 
-/// Returns the properties of vertices that come after those that every file has.
+/// Returns the declarations of the optional vertex properties: values of fields, and colours.
 fn properties(mesh: &Mesh) -> String {
     let fields = names(mesh).into_iter().map(|name| format!("property float {name}\n"));
     let colors = ["red", "green", "blue"].map(|name| format!("property uchar {name}\n"));
@@ -97,7 +97,7 @@ fn properties(mesh: &Mesh) -> String {
     fields.chain(colors).collect()
 }
 
-/// Returns the names of the fields' properties: words of ASCII, each once.
+/// Returns the property names of the fields: distinct words of ASCII.
 fn names(mesh: &Mesh) -> Vec<String> {
     let taken = [
         "x",

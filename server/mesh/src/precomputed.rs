@@ -1,5 +1,6 @@
-//! Meshes of Neuroglancer's precomputed format, single-resolution
-//! (<https://github.com/google/neuroglancer/blob/master/src/datasource/precomputed/meshes.md>), in a ZIP that Neuroglancer opens as it is.
+//! Single-resolution meshes in Neuroglancer's precomputed format
+//! (<https://github.com/google/neuroglancer/blob/master/src/datasource/precomputed/meshes.md>), in a ZIP that Neuroglancer opens without
+//! unpacking.
 
 use std::io::{self, Write};
 
@@ -9,14 +10,15 @@ use zip::{CompressionMethod, ZipWriter};
 
 use super::{ExportError, MAX_SHORT_PART, Mesh, fits_u32};
 
-/// Corners and positions that are written at once.
+/// Number of positions that are written at once.
 const PIECE: usize = 1 << 12;
 
-/// Writes `meshes`, a segment each: `info`, `1:0`, which names the fragment `1`, and so on; segment properties have the names. Positions are nanometres of
-/// 32 bits. Nothing is compressed, so that parts can be read by ranges.
+/// Writes `meshes` as one segment each. For a segment 1, the file `1:0` names the file `1`, which has the mesh. Segment properties contain
+/// the names of the surfaces. Positions are 32-bit floats in nanometres. Files are not compressed, so that readers can request ranges of
+/// bytes.
 ///
 /// # Errors
-/// Positions beyond 32 bits, or the errors of `out`.
+/// A position exceeds 32-bit floats, or `out` fails.
 pub fn write(meshes: &[Mesh], out: &mut impl Write) -> Result<(), ExportError> {
     let mut package = ZipWriter::new_stream(out);
     let info = json!({ "@type": "neuroglancer_legacy_mesh", "segment_properties": "segment_properties" });
@@ -35,6 +37,7 @@ pub fn write(meshes: &[Mesh], out: &mut impl Write) -> Result<(), ExportError> {
     Ok(())
 }
 
+/// Begins a file of about `bytes` bytes in the ZIP.
 fn start<W: Write + io::Seek>(package: &mut ZipWriter<W>, name: &str, bytes: u64) -> Result<(), ExportError> {
     let options = SimpleFileOptions::default()
         .compression_method(CompressionMethod::Stored)
@@ -42,7 +45,7 @@ fn start<W: Write + io::Seek>(package: &mut ZipWriter<W>, name: &str, bytes: u64
     Ok(package.start_file(name, options).map_err(io::Error::from)?)
 }
 
-/// Returns the names of the segments, and their provenance.
+/// Returns the segment properties: the names of the surfaces, and descriptions with their provenance.
 fn properties(meshes: &[Mesh]) -> serde_json::Value {
     let ids: Vec<String> = (1..=meshes.len()).map(|segment| segment.to_string()).collect();
     let names: Vec<&str> = meshes.iter().map(|mesh| mesh.name.as_str()).collect();
@@ -65,7 +68,7 @@ fn properties(meshes: &[Mesh]) -> serde_json::Value {
     })
 }
 
-/// Writes the number of vertices, the positions, and the corners of triangles.
+/// Writes the mesh of a segment: number of vertices, positions, and corners of triangles.
 fn fragment(mesh: &Mesh, out: &mut impl Write) -> Result<(), ExportError> {
     let vertices = fits_u32("vertices", mesh.positions.len() as u64, "precomputed")?;
     out.write_all(&vertices.to_le_bytes())?;

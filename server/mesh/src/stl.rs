@@ -1,4 +1,4 @@
-//! Binary STL: each triangle has its own normal and corners; nothing is shared.
+//! Binary STL: each triangle has a normal and the positions of its corners.
 
 use std::io::Write;
 
@@ -7,20 +7,20 @@ use isopeel_volumes::LengthUnit;
 
 use super::{ExportError, Mesh, PIECE_BYTES, fits_u32, flush};
 
-/// Rounding error above which there is a notice, as a share of the smallest spacing.
-const UNNOTICED: f64 = 1e-3;
+/// Maximum rounding error without a notice, as a fraction of the smallest spacing.
+const MAX_UNNOTICED: f64 = 1e-3;
 
-/// Returns a notice on how far positions are rounded in a format with 32-bit world positions; `None` if that is at most a thousandth of the
-/// smallest spacing.
+/// Returns a notice about the rounding of positions in a format with 32-bit world positions; `None` if the rounding error is at most a
+/// thousandth of the smallest spacing. `format` is the name of the format.
 pub fn rounding(mesh: &Mesh, format: &str) -> Option<String> {
-    let of = |vertex: usize| {
+    let error_of = |vertex: usize| {
         let rounded = mesh.world(vertex).map(|x| (x - f64::from(x as f32)).abs());
         rounded.into_iter().fold(0.0, f64::max)
     };
-    let largest = (0..mesh.positions.len()).map(of).fold(0.0, f64::max);
+    let largest = (0..mesh.positions.len()).map(error_of).fold(0.0, f64::max);
     let spacings = largest / mesh.smallest_spacing;
     let unit = mesh.unit.map_or("", LengthUnit::ascii_symbol);
-    (spacings > UNNOTICED).then(|| {
+    (spacings > MAX_UNNOTICED).then(|| {
         format!(
             "{format} holds numbers of 32 bits: so far from the origin positions are rounded by up to {largest:.1e} {unit}, {spacings:.2} of the \
              smallest spacing; GLB, PLY, VTP, OBJ, 3MF and USDZ keep them"
@@ -28,19 +28,19 @@ pub fn rounding(mesh: &Mesh, format: &str) -> Option<String> {
     })
 }
 
-/// Writes `mesh`. A triangle's normal is that of its plane; a degenerate triangle has the zero normal.
+/// Writes `mesh`. The normal of a triangle is the unit normal of its plane, or zero for a degenerate triangle.
 ///
 /// # Errors
-/// More than 2³² − 1 triangles, positions beyond 32 bits, or the errors of `out`.
+/// The mesh has more than 2³² − 1 triangles, a position exceeds 32-bit floats, or `out` fails.
 pub fn write(mesh: &Mesh, out: &mut impl Write) -> Result<(), ExportError> {
     let triangles = fits_u32("triangles", mesh.triangles.len() as u64, "STL")?;
-    // Must not begin with "solid", the mark of the text form.
+    // The header must not begin with `solid`, by which readers recognise the text form of STL.
     let mut header = [b' '; 80];
     let unit = mesh.unit.map_or("unknown", LengthUnit::ascii_symbol);
-    // For a patient's axes, in the form that 3D Slicer reads.
+    // States an anatomical frame in the form that 3D Slicer reads.
     let space = if mesh.frame.is_anatomical() { "SPACE=" } else { "frame " };
     let frame = mesh.frame.name();
-    // The header is too short for the notices themselves.
+    // Refers to `isopeel info`, because the header is too short for the notices.
     let notices = if mesh.notices.is_empty() {
         ""
     } else {
@@ -55,16 +55,16 @@ pub fn write(mesh: &Mesh, out: &mut impl Write) -> Result<(), ExportError> {
     }
     out.write_all(&header)?;
     out.write_all(&triangles.to_le_bytes())?;
-    // Computed once, because a vertex has about six triangles.
+    // Converts each vertex only once, because a vertex has about six triangles.
     let vertices = 0..mesh.positions.len();
-    let placed = vertices
+    let world_positions = vertices
         .map(|vertex| mesh.world_f32(vertex))
         .collect::<Result<Vec<_>, _>>()?;
     let mut rows = Vec::with_capacity(2 * PIECE_BYTES);
     for triangle in &mesh.triangles {
         let normal = plane_normal(triangle.map(|i| mesh.positions[i as usize]));
         rows.extend_from_slice(bytemuck::bytes_of(&normal));
-        rows.extend_from_slice(bytemuck::bytes_of(&triangle.map(|i| placed[i as usize])));
+        rows.extend_from_slice(bytemuck::bytes_of(&triangle.map(|i| world_positions[i as usize])));
         rows.extend_from_slice(&[0, 0]);
         flush(&mut rows, out, PIECE_BYTES)?;
     }

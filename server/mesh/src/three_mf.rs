@@ -1,4 +1,4 @@
-//! 3MF (<https://3mf.io/specification>), core specification with colours of its materials extension, for programs that print.
+//! 3MF (<https://3mf.io/specification>) for 3D printing: the core specification, and colours of the materials extension.
 
 use std::collections::HashMap;
 use std::io::{self, Write};
@@ -11,11 +11,11 @@ use super::mesh::srgb_bytes;
 use super::xml::escaped;
 use super::{ExportError, MAX_SHORT_PART, Mesh, PIECE_BYTES, flush};
 
-/// Level of deflate. Higher ones take three times as long to save a tenth of the bytes.
+/// Compression level of deflate. The fastest one, because higher ones take three times as long to save a tenth of the bytes.
 const LEVEL: i64 = 1;
-/// Upper bound of the bytes of text for a triangle with its share of vertices.
+/// Upper bound of the bytes of text for a triangle, including its share of the vertices.
 const TRIANGLE_BYTES: u64 = 200;
-/// Id of the materials. The ids of colours and objects come after it.
+/// Id of the group of materials. The ids of colour groups and objects follow.
 const MATERIALS: usize = 1;
 
 const CONTENT_TYPES: &str = "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n\
@@ -30,12 +30,12 @@ const RELATIONSHIPS: &str = "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n\
      Type=\"http://schemas.microsoft.com/3dmanufacturing/2013/01/3dmodel\"/>\
      </Relationships>\n";
 
-/// Writes `meshes`, an object each with its name, in millimetres. A closed surface is a `model`, which encloses a solid, another one a `surface`. A
-/// mesh has the colours of its vertices, or its material's. Metadata hold the provenance, which is the first mesh's. `compresses`: the parts
-/// are deflated, which takes several times as long as to write them.
+/// Writes `meshes` as one object each, in millimetres. An object of a closed surface has the type `model`, which means a solid; other
+/// objects have the type `surface`. An object has the colours of its vertices, or else the colour of its material. Metadata contain the
+/// provenance of the first mesh. If `compresses`, the files in the ZIP are deflated, which takes several times as long as writing them.
 ///
 /// # Errors
-/// Those of `out`.
+/// Errors of `out`.
 pub fn write(meshes: &[Mesh], compresses: bool, out: &mut impl Write) -> Result<(), ExportError> {
     let triangles: u64 = meshes.iter().map(|mesh| mesh.triangles.len() as u64).sum();
     let (method, level) = match compresses {
@@ -75,7 +75,7 @@ fn model(meshes: &[Mesh], out: &mut impl Write) -> Result<(), ExportError> {
     text.push(&materials(meshes));
     let mut next = MATERIALS + 1;
     let mut items = String::new();
-    // An object must have triangles.
+    // Skips empty meshes, because an object must have triangles.
     for (material, mesh) in meshes.iter().enumerate().filter(|(_, mesh)| !mesh.triangles.is_empty()) {
         let colors = (!mesh.colors.is_empty()).then(|| Colors::new(mesh, next));
         if let Some(colors) = &colors {
@@ -84,14 +84,14 @@ fn model(meshes: &[Mesh], out: &mut impl Write) -> Result<(), ExportError> {
         }
         object(mesh, next, material, colors.as_ref(), &mut text)?;
         let decimals = Decimals::of_spacing(mesh.smallest_spacing);
-        let mut place = Vec::new();
+        let mut translation = Vec::new();
         for component in mesh.origin {
-            place.push(b' ');
-            decimals.push(&mut place, component);
+            translation.push(b' ');
+            decimals.push(&mut translation, component);
         }
         items += &format!(
             "<item objectid=\"{next}\" transform=\"1 0 0 0 1 0 0 0 1{}\"/>\n",
-            String::from_utf8_lossy(&place)
+            String::from_utf8_lossy(&translation)
         );
         next += 1;
     }
@@ -101,7 +101,8 @@ fn model(meshes: &[Mesh], out: &mut impl Write) -> Result<(), ExportError> {
     text.flush(0)
 }
 
-/// Returns the provenance of the surfaces. Names that the specification does not define are in a namespace of their own.
+/// Returns the metadata elements: title, program, frame, provenance and notices. Names that the specification does not define have the
+/// namespace `isopeel`.
 fn metadata(meshes: &[Mesh]) -> String {
     let Some(first) = meshes.first() else {
         return String::new();
@@ -128,7 +129,7 @@ fn metadata(meshes: &[Mesh]) -> String {
     pairs.iter().map(line).collect()
 }
 
-/// Returns a material for each mesh.
+/// Returns the group of materials, with one material for each mesh.
 fn materials(meshes: &[Mesh]) -> String {
     let material = |mesh: &Mesh| {
         let [red, green, blue] = mesh.material.color.unwrap_or([255; 3]);
@@ -145,19 +146,19 @@ fn materials(meshes: &[Mesh]) -> String {
     }
 }
 
-/// The different colours of a mesh's vertices.
+/// The colour group of a mesh: its distinct vertex colours.
 struct Colors {
     id: usize,
-    /// The resource.
+    /// The XML element of the group.
     group: String,
-    /// Index of the colour that each vertex has.
-    of_vertices: Vec<u32>,
+    /// For each vertex, the index of its colour in the group.
+    vertex_indices: Vec<u32>,
 }
 
 impl Colors {
     fn new(mesh: &Mesh, id: usize) -> Self {
         let (mut numbers, mut group) = (HashMap::new(), format!("<m:colorgroup id=\"{id}\">\n"));
-        let of_vertices = mesh.colors.iter().map(|&color| {
+        let vertex_indices = mesh.colors.iter().map(|&color| {
             let color @ [red, green, blue] = srgb_bytes(color);
             let next = numbers.len() as u32;
             *numbers.entry(color).or_insert_with(|| {
@@ -165,9 +166,13 @@ impl Colors {
                 next
             })
         });
-        let of_vertices = of_vertices.collect();
+        let vertex_indices = vertex_indices.collect();
         group += "</m:colorgroup>\n";
-        Self { id, group, of_vertices }
+        Self {
+            id,
+            group,
+            vertex_indices,
+        }
     }
 }
 
@@ -193,7 +198,7 @@ fn object<W: Write>(
         text.flush(PIECE_BYTES)?;
     }
     text.push("</vertices>\n<triangles>\n");
-    // The specification forbids triangles with two equal corners.
+    // Skips degenerate triangles, because the specification forbids equal corners.
     for triangle in mesh.triangles.iter().filter(|[a, b, c]| a != b && b != c && c != a) {
         for (name, &corner) in ["<triangle v1=\"", "\" v2=\"", "\" v3=\""].into_iter().zip(triangle) {
             text.push(name);
@@ -203,7 +208,7 @@ fn object<W: Write>(
             text.push(&format!("\" pid=\"{}", colors.id));
             for (name, &corner) in ["\" p1=\"", "\" p2=\"", "\" p3=\""].into_iter().zip(triangle) {
                 text.push(name);
-                push_whole(&mut text.text, colors.of_vertices[corner as usize].into());
+                push_whole(&mut text.text, colors.vertex_indices[corner as usize].into());
             }
         }
         text.push("\"/>\n");
@@ -213,7 +218,7 @@ fn object<W: Write>(
     Ok(())
 }
 
-/// Text that is collected before it is written to a part.
+/// Buffered text of a file in the ZIP.
 struct Text<'a, W> {
     text: Vec<u8>,
     out: &'a mut W,
@@ -229,7 +234,7 @@ impl<'a, W: Write> Text<'a, W> {
         self.text.extend_from_slice(text.as_bytes());
     }
 
-    /// Writes the text if it is longer than `limit`.
+    /// Writes the buffered text if it has more than `limit` bytes.
     fn flush(&mut self, limit: usize) -> Result<(), ExportError> {
         flush(&mut self.text, self.out, limit)
     }

@@ -1,17 +1,18 @@
-//! Topology of a mesh: vertices at which sheets touch, whether the mesh is closed, and the volume that it encloses.
+//! Topology of a mesh: splits vertices at which sheets touch, finds out whether the mesh is closed, and computes the volume that it
+//! encloses.
 
 use isopeel_geometry::DVec3;
 
 use super::Mesh;
 
-/// Triangles around each vertex.
-pub(crate) struct Around {
-    /// Offset in `triangles` of each vertex' first triangle, followed by the end of the last vertex' triangles.
+/// The triangles of each vertex.
+pub(crate) struct VertexTriangles {
+    /// Offset in `triangles` of the first triangle of each vertex, followed by the length of `triangles`.
     first: Vec<u32>,
     triangles: Vec<u32>,
 }
 
-impl Around {
+impl VertexTriangles {
     pub(crate) fn new(mesh: &Mesh) -> Self {
         let mut first = vec![0u32; mesh.positions.len() + 1];
         for &corner in mesh.triangles.as_flattened() {
@@ -31,13 +32,14 @@ impl Around {
         Self { first, triangles }
     }
 
-    pub(crate) fn of(&self, vertex: u32) -> &[u32] {
+    /// Returns the triangles of a vertex.
+    pub(crate) fn vertex(&self, vertex: u32) -> &[u32] {
         let [from, to] = [0, 1].map(|i| self.first[vertex as usize + i] as usize);
         &self.triangles[from..to]
     }
 }
 
-/// A triangle at a vertex: its number, and its other corners in their order.
+/// A triangle as seen from one of its corners: its number, and its other corners in the order of the triangle.
 #[derive(Clone, Copy)]
 struct Wedge {
     triangle: u32,
@@ -48,30 +50,30 @@ struct Wedge {
 /// Result of [`split_pinched`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Topology {
-    /// Vertices that were added.
+    /// Number of vertices that were added.
     pub split: u64,
-    /// Whether each edge of each sheet has two triangles, of opposite directions.
+    /// Whether each edge of each sheet has two triangles, which have the edge in opposite directions.
     pub is_closed: bool,
 }
 
-/// Splits each vertex at which several sheets touch, so that each sheet has a vertex of its own: the triangles around a vertex are then
-/// connected by edges. If sheets touch along an edge, the triangles that bound the same solid at that edge are one sheet.
+/// Splits each vertex at which several sheets touch, so that each sheet has a separate vertex. Then the triangles of each vertex are one
+/// fan, connected by edges. If sheets touch along an edge, the triangles that bound the same solid at this edge are one sheet.
 pub fn split_pinched(mesh: &mut Mesh) -> Topology {
     let mut split = 0;
     loop {
         let pass = split_once(mesh);
         split += pass.split;
-        // Splitting one vertex may disconnect sheets at another one. Terminates: each pass adds vertices, and there are no more vertices
-        // than corners.
+        // Splitting one vertex may disconnect sheets at another vertex, so passes are repeated. This terminates, because each pass adds
+        // vertices, and there are never more vertices than corners of triangles.
         if pass.split == 0 {
             return Topology { split, ..pass };
         }
     }
 }
 
-/// One pass over all vertices.
+/// Splits the pinched vertices in one pass over all vertices.
 fn split_once(mesh: &mut Mesh) -> Topology {
-    let around = Around::new(mesh);
+    let triangles_of = VertexTriangles::new(mesh);
     let mut topology = Topology {
         split: 0,
         is_closed: !mesh.triangles.is_empty(),
@@ -80,8 +82,8 @@ fn split_once(mesh: &mut Mesh) -> Topology {
     for vertex in 0..mesh.positions.len() as u32 {
         wedges.clear();
         wedges.extend(
-            around
-                .of(vertex)
+            triangles_of
+                .vertex(vertex)
                 .iter()
                 .filter_map(|&triangle| wedge(mesh, triangle, vertex)),
         );
@@ -99,27 +101,29 @@ fn split_once(mesh: &mut Mesh) -> Topology {
 /// Returns a triangle as seen from one of its corners; `None` if two of its corners are equal.
 fn wedge(mesh: &Mesh, triangle: u32, vertex: u32) -> Option<Wedge> {
     let corners = mesh.triangles[triangle as usize];
-    let at = corners.iter().position(|&corner| corner == vertex)?;
-    let [next, previous] = [corners[(at + 1) % 3], corners[(at + 2) % 3]];
-    let is_proper = next != vertex && previous != vertex && next != previous;
-    is_proper.then_some(Wedge {
+    let index = corners.iter().position(|&corner| corner == vertex)?;
+    let [next, previous] = [corners[(index + 1) % 3], corners[(index + 2) % 3]];
+    let is_distinct = next != vertex && previous != vertex && next != previous;
+    is_distinct.then_some(Wedge {
         triangle,
         next,
         previous,
     })
 }
 
-/// Returns whether a single fan of the triangles at a vertex is closed; `None` if they are not a single fan. Most vertices have one fan.
+/// Returns whether the single fan of triangles at a vertex is closed; `None` if the triangles are not a single fan. Fast, because most
+/// vertices have one fan.
 fn single_fan(wedges: &[Wedge]) -> Option<bool> {
     let Some(first) = wedges.first() else {
         return Some(true);
     };
-    let (mut seen, mut at) = (1, first.previous);
-    while at != first.next {
-        let mut onward = wedges.iter().filter(|wedge| wedge.next == at);
-        at = match (onward.next(), onward.next()) {
+    // Walks around the vertex in one direction, from wedge to wedge.
+    let (mut seen, mut end) = (1, first.previous);
+    while end != first.next {
+        let mut following = wedges.iter().filter(|wedge| wedge.next == end);
+        end = match (following.next(), following.next()) {
             (Some(wedge), None) => wedge.previous,
-            // A border, or several sheets.
+            // The walk has reached a border.
             (None, _) => break,
             (Some(_), Some(_)) => return None,
         };
@@ -128,13 +132,14 @@ fn single_fan(wedges: &[Wedge]) -> Option<bool> {
             return None;
         }
     }
-    if at == first.next {
+    if end == first.next {
         return (seen == wedges.len()).then_some(true);
     }
-    let mut at = first.next;
+    // Walks from the first wedge in the other direction to the other border.
+    let mut start = first.next;
     loop {
-        let mut back = wedges.iter().filter(|wedge| wedge.previous == at);
-        at = match (back.next(), back.next()) {
+        let mut preceding = wedges.iter().filter(|wedge| wedge.previous == start);
+        start = match (preceding.next(), preceding.next()) {
             (Some(wedge), None) => wedge.next,
             (None, _) => return (seen == wedges.len()).then_some(false),
             (Some(_), Some(_)) => return None,
@@ -146,7 +151,7 @@ fn single_fan(wedges: &[Wedge]) -> Option<bool> {
     }
 }
 
-/// Returns the number of the fan that each triangle at a vertex belongs to. Clears `is_closed` if an edge has triangles without partners.
+/// Returns for each triangle at a vertex the number of its fan. Clears `is_closed` if a triangle has no partner at an edge.
 fn fans(mesh: &Mesh, vertex: u32, wedges: &[Wedge], is_closed: &mut bool) -> Vec<usize> {
     let mut fan: Vec<usize> = (0..wedges.len()).collect();
     let mut join = |a: usize, b: usize| {
@@ -157,18 +162,19 @@ fn fans(mesh: &Mesh, vertex: u32, wedges: &[Wedge], is_closed: &mut bool) -> Vec
     ends.sort_unstable();
     ends.dedup();
     for end in ends {
-        let with = |is_of: fn(&Wedge, u32) -> bool| -> Vec<usize> {
-            (0..wedges.len()).filter(|&i| is_of(&wedges[i], end)).collect()
+        let wedges_where = |matches: fn(&Wedge, u32) -> bool| -> Vec<usize> {
+            (0..wedges.len()).filter(|&i| matches(&wedges[i], end)).collect()
         };
-        let out = with(|wedge, end| wedge.next == end);
-        let back = with(|wedge, end| wedge.previous == end);
+        // Triangles with the edge from the vertex to `end`, and triangles with the edge from `end` to the vertex.
+        let out = wedges_where(|wedge, end| wedge.next == end);
+        let back = wedges_where(|wedge, end| wedge.previous == end);
         *is_closed &= out.len() == back.len();
         match (&out[..], &back[..]) {
             (&[a], &[b]) => join(a, b),
             (&[_], &[]) | (&[], &[_]) => {}
             _ => match partners(mesh, [vertex, end], wedges, &out, &back) {
                 Some(pairs) => pairs.into_iter().for_each(|(a, b)| join(a, b)),
-                // The sheets cannot be distinguished.
+                // Joins all triangles at the edge, because their sheets cannot be distinguished.
                 None => out
                     .iter()
                     .chain(&back)
@@ -179,9 +185,11 @@ fn fans(mesh: &Mesh, vertex: u32, wedges: &[Wedge], is_closed: &mut bool) -> Vec
     fan
 }
 
-/// Pairs the triangles at an edge that has more than two. Partners bound the same solid. Seen along the edge, a triangle that has the edge
-/// in this direction has the outside on its counter-clockwise side; a triangle that has it in the other direction has the solid there.
-/// `None` if the directions do not alternate around the edge.
+/// Pairs the triangles at an edge with more than two triangles, so that partners bound the same solid. `out` are the triangles with the
+/// edge in the given direction, and `back` those with the edge in the other direction.
+///
+/// Seen along the edge, the outside is on the counter-clockwise side of a triangle in `out`, and the solid is on the counter-clockwise side
+/// of a triangle in `back`. Returns `None` if the directions do not alternate around the edge.
 fn partners(
     mesh: &Mesh,
     [from, to]: [u32; 2],
@@ -214,12 +222,16 @@ fn partners(
 
 /// Gives each fan of a vertex except the first a new vertex. Returns the number of new vertices.
 fn split(mesh: &mut Mesh, vertex: u32, wedges: &[Wedge], fans: &[usize]) -> u64 {
-    let mut others: Vec<usize> = fans.to_vec();
-    others.sort_unstable();
-    others.dedup();
-    for &fan in others.iter().skip(1) {
+    let mut distinct: Vec<usize> = fans.to_vec();
+    distinct.sort_unstable();
+    distinct.dedup();
+    for &fan in distinct.iter().skip(1) {
         let copy = mesh.copy_vertex(vertex as usize);
-        for (wedge, _) in wedges.iter().zip(fans).filter(|(_, of)| **of == fan) {
+        for (wedge, _) in wedges
+            .iter()
+            .zip(fans)
+            .filter(|(_, fan_of_wedge)| **fan_of_wedge == fan)
+        {
             let corners = &mut mesh.triangles[wedge.triangle as usize];
             corners
                 .iter_mut()
@@ -227,16 +239,17 @@ fn split(mesh: &mut Mesh, vertex: u32, wedges: &[Wedge], fans: &[usize]) -> u64 
                 .for_each(|corner| *corner = copy);
         }
     }
-    others.len().saturating_sub(1) as u64
+    distinct.len().saturating_sub(1) as u64
 }
 
-/// Returns the volume that a closed mesh encloses, in cubes of its unit; below 0 if its triangles face inwards.
+/// Returns the volume that a closed mesh encloses, in cubes of its unit. The volume is negative if the triangles face inwards.
 pub fn volume(mesh: &Mesh) -> f64 {
-    let of = |corners: &[u32; 3]| {
+    // The signed volume of the tetrahedron between a triangle and the origin.
+    let tetrahedron = |corners: &[u32; 3]| {
         let [a, b, c] = corners.map(|i| DVec3::from(mesh.positions[i as usize].map(f64::from)));
         a.dot(b.cross(c)) / 6.0
     };
-    mesh.triangles.iter().map(of).sum()
+    mesh.triangles.iter().map(tetrahedron).sum()
 }
 
 #[cfg(test)]

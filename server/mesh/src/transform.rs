@@ -1,4 +1,4 @@
-//! Transforms a surface's vertices from the lattice to the world.
+//! Transforms the vertices of a surface from the lattice to the world.
 
 use isopeel_geometry::{DVec3, UnevenAxes};
 use isopeel_kernels::Vertex;
@@ -9,25 +9,27 @@ use super::ExportError;
 
 /// Transformation from the lattice to the world.
 pub(crate) struct Transform<'a> {
+    /// Uneven axes, and the mesher that has made the surface.
     uneven: Option<(&'a UnevenAxes, MesherName)>,
-    /// For uneven axes: cell lengths for which the kernels compute normals. They are those of the largest cells.
+    /// For uneven axes: lengths of the largest cells along each axis, for which the kernels compute normals.
     largest: DVec3,
-    /// World position of the middle of the grid, to which positions are relative. So they are small numbers, which 32 bits hold, however
-    /// far the volume is from the world's origin.
+    /// World position of the middle of the grid. Positions are relative to it, so that they are small enough for 32 bits even if the volume
+    /// is far from the origin of the world.
     pub origin: DVec3,
-    /// The middle of the grid on the lattice.
+    /// Lattice position of the middle of the grid.
     middle: DVec3,
     /// World length of one lattice unit along each axis.
     step: [DVec3; 3],
-    /// Transforms normals: inverse transpose of `direction` up to a factor. Equal to `direction` if that is a rotation or a reflection, and
-    /// correct for shears too.
+    /// Columns of the matrix for normals: the inverse transpose of `direction` up to a factor. This is equal to `direction` for rotations
+    /// and reflections, and also correct for shears.
     normals: [DVec3; 3],
     /// Whether `direction` includes a reflection.
     pub mirrors: bool,
 }
 
 impl<'a> Transform<'a> {
-    /// `uneven`: the axes whose samples, unlike those in `geometry`, are not evenly spaced, and the mesher that made the surface.
+    /// Returns the transformation of a geometry. `uneven` are axes whose samples are not evenly spaced, although they are in `geometry`,
+    /// and the mesher that has made the surface.
     pub fn new(geometry: &Geometry, uneven: Option<(&'a UnevenAxes, MesherName)>) -> Self {
         let [x, y, z] = geometry.direction.map(DVec3::from);
         let cofactors = [y.cross(z), z.cross(x), x.cross(y)];
@@ -48,10 +50,10 @@ impl<'a> Transform<'a> {
         }
     }
 
-    /// Position of a vertex, relative to [`Transform::origin`].
+    /// Converts a lattice position to a position relative to [`Transform::origin`].
     ///
     /// # Errors
-    /// Beyond 32-bit floats.
+    /// The position exceeds 32-bit floats.
     pub fn position(&self, lattice: [i64; 3]) -> Result<[f32; 3], ExportError> {
         let on_lattice = lattice.map(|p| p as f64);
         let even = match self.uneven {
@@ -68,25 +70,28 @@ impl<'a> Transform<'a> {
         }
     }
 
-    /// Returns the normal in the world of a vertex at this position.
+    /// Converts the normal of a vertex at a lattice position to a unit normal in the world.
     pub fn normal(&self, lattice: [i64; 3], normal: [f32; 3]) -> [f32; 3] {
         let normal = normal.map(f64::from);
         let normal = match self.uneven {
             None => normal,
-            // Over a shorter distance, the same difference of values is a larger gradient.
+            // The kernels have divided all differences by the largest cell. The gradient is larger if the real distance is shorter.
             Some((uneven, mesher)) => {
                 let steps = gradient_steps(uneven, mesher, index_of(lattice));
                 (DVec3::from(normal) * self.largest / steps).to_array()
             }
         };
-        let turned = combine(&self.normals, normal);
-        (turned / turned.length()).to_array().map(|component| component as f32)
+        let world_normal = combine(&self.normals, normal);
+        (world_normal / world_normal.length())
+            .to_array()
+            .map(|component| component as f32)
     }
 }
 
-/// Returns the lengths over which the gradient at a vertex was taken. Marching cubes takes differences at the two samples of an edge of the
-/// grid. The dual mesher takes the gradient of the trilinear interpolant in the vertex' own cell: the remaining error is the rounding to
-/// bytes for the largest cells, which weighs more if a cell is small.
+/// Returns the distances, along each axis, over which a mesher has computed the gradient at a vertex. Marching cubes uses central
+/// differences at the two samples of a grid edge. The dual mesher uses the trilinear interpolant in the cell of the vertex.
+///
+/// For the dual mesher, an error remains: normals were rounded to bytes for the largest cells, so that the error is larger in small cells.
 fn gradient_steps(uneven: &UnevenAxes, mesher: MesherName, index: DVec3) -> DVec3 {
     match mesher {
         MesherName::MarchingCubes => uneven.difference_steps(index),
@@ -99,6 +104,7 @@ fn index_of(lattice: [i64; 3]) -> DVec3 {
     DVec3::from(lattice.map(|p| p as f64)) / f64::from(Vertex::LATTICE)
 }
 
+/// Returns the linear combination of three vectors.
 fn combine([x, y, z]: &[DVec3; 3], weights: [f64; 3]) -> DVec3 {
     *x * weights[0] + *y * weights[1] + *z * weights[2]
 }

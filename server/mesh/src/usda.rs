@@ -1,7 +1,8 @@
-//! The text form of Universal Scene Description (<https://openusd.org>), the layer of a USDZ.
+//! The text form of Universal Scene Description (<https://openusd.org>): the layer in a USDZ.
 //!
-//! `/Surfaces` turns positions so that Y is up, as in a GLB. Below it are a mesh for each surface and `Materials` with a material each. Meshes
-//! have positions in the unit of the file, which `metersPerUnit` says, relative to an origin to which a translation of 64 bits moves them.
+//! The prim `/Surfaces` rotates its children so that Y is up, as in a GLB. It contains a mesh for each surface, and the scope `Materials`
+//! with a material for each surface. `metersPerUnit` states the unit of the file. Positions of a mesh are relative to an origin, which a
+//! translation of 64 bits adds.
 
 use std::collections::BTreeMap;
 use std::io::Write;
@@ -9,16 +10,16 @@ use std::io::Write;
 use isopeel_volumes::LengthUnit;
 
 use super::decimal::{Decimals, push_whole};
-use super::mesh::{free_names, linear, plain};
+use super::mesh::{distinct_names, linear, plain};
 use super::{ExportError, Mesh, PIECE_BYTES, flush};
 
 /// Name of the scope that contains the materials.
 const MATERIALS: &str = "Materials";
-/// Digits behind the point of components of normals and colours.
-const SHARE_DIGITS: usize = 5;
+/// Digits after the decimal point of components of normals and colours.
+const UNIT_DIGITS: usize = 5;
 
-/// Names of primvars that have a meaning to readers of USD: those of colours and texture coordinates, and attributes of UsdGeom that a primvar of
-/// the same name overrides.
+/// Primvar names that have a meaning for readers of USD: colours, texture coordinates, and attributes of UsdGeom that a primvar with the
+/// same name overrides.
 const TAKEN: [&str; 11] = [
     "displayColor",
     "displayOpacity",
@@ -33,32 +34,32 @@ const TAKEN: [&str; 11] = [
     "uv",
 ];
 
-/// Writes `meshes` that have triangles as a stage, in the unit of the first mesh.
+/// Writes all `meshes` with triangles as a stage, in the unit of the first mesh.
 ///
 /// # Errors
-/// Those of `out`.
+/// Errors of `out`.
 pub fn write(meshes: &[Mesh], out: &mut impl Write) -> Result<(), ExportError> {
-    let shown: Vec<&Mesh> = meshes.iter().filter(|mesh| !mesh.triangles.is_empty()).collect();
-    let of_stage = meshes.first().map_or(1.0, metres);
-    let names = identifiers(&shown);
-    let mut text = head(of_stage).into_bytes();
-    for (mesh, name) in shown.iter().zip(&names) {
-        surface(mesh, name, metres(mesh) / of_stage, &mut text, out)?;
+    let non_empty: Vec<&Mesh> = meshes.iter().filter(|mesh| !mesh.triangles.is_empty()).collect();
+    let stage_metres = meshes.first().map_or(1.0, metres);
+    let names = identifiers(&non_empty);
+    let mut text = head(stage_metres).into_bytes();
+    for (mesh, name) in non_empty.iter().zip(&names) {
+        surface(mesh, name, metres(mesh) / stage_metres, &mut text, out)?;
     }
     text.extend(format!("    def Scope \"{MATERIALS}\"\n    {{\n").bytes());
-    for (mesh, name) in shown.iter().zip(&names) {
+    for (mesh, name) in non_empty.iter().zip(&names) {
         text.extend(material(mesh, name).bytes());
     }
     text.extend_from_slice(b"    }\n}\n");
     flush(&mut text, out, 0)
 }
 
-/// Returns the metres of a mesh's unit. Without a unit, one unit is one metre, as in a GLB.
+/// Returns the length of a mesh's unit in metres. Without a unit, this is 1, as in a GLB.
 fn metres(mesh: &Mesh) -> f64 {
     mesh.unit.and_then(LengthUnit::metres).unwrap_or(1.0)
 }
 
-/// Returns the beginning of the text, up to the meshes. The matrix is given by rows: (x, y, z) becomes (x, z, −y).
+/// Returns the text before the meshes. USD states a matrix by rows, and multiplies row vectors from the left: (x, y, z) becomes (x, z, −y).
 fn head(metres: f64) -> String {
     let version = env!("CARGO_PKG_VERSION");
     format!(
@@ -69,12 +70,12 @@ fn head(metres: f64) -> String {
     )
 }
 
-/// Returns the names of the meshes' prims: the meshes' own names, as identifiers.
+/// Returns distinct prim names of the meshes, from their names.
 fn identifiers(meshes: &[&Mesh]) -> Vec<String> {
-    free_names(meshes.iter().map(|mesh| identifier(&mesh.name)), &[MATERIALS])
+    distinct_names(meshes.iter().map(|mesh| identifier(&mesh.name)), &[MATERIALS])
 }
 
-/// Converts a name to an identifier, which begins with a letter or `_`.
+/// Converts a name to an identifier of USD, which begins with a letter or `_`.
 fn identifier(name: &str) -> String {
     let name = plain(name);
     match name.starts_with(|c: char| c.is_ascii_alphabetic()) {
@@ -83,7 +84,7 @@ fn identifier(name: &str) -> String {
     }
 }
 
-/// A string in quotation marks.
+/// Returns a string in quotation marks, with escapes.
 fn quoted(string: &str) -> String {
     let escaped = |c: char| match c {
         '"' | '\\' => format!("\\{c}"),
@@ -94,18 +95,18 @@ fn quoted(string: &str) -> String {
     format!("\"{}\"", string.chars().map(escaped).collect::<String>())
 }
 
-/// Writes a mesh. `scale`: how many units of the stage one unit of the mesh is.
+/// Writes a mesh. `scale` is the unit of the mesh divided by the unit of the stage.
 fn surface(mesh: &Mesh, name: &str, scale: f64, text: &mut Vec<u8>, out: &mut impl Write) -> Result<(), ExportError> {
     let decimals = Decimals::of_spacing(mesh.smallest_spacing);
     let [low, high] = [f32::min, f32::max].map(|choose| {
         let first = mesh.positions.first().copied().unwrap_or_default();
-        let end = |end: [f32; 3], at: &[f32; 3]| [0, 1, 2].map(|axis| choose(end[axis], at[axis]));
-        mesh.positions.iter().fold(first, end)
+        let extend = |end: [f32; 3], position: &[f32; 3]| [0, 1, 2].map(|axis| choose(end[axis], position[axis]));
+        mesh.positions.iter().fold(first, extend)
     });
     let mut extent = Vec::new();
     tuples(&[low, high], decimals, &mut extent, &mut std::io::sink())?;
     let [x, y, z] = mesh.origin.map(|component| component * scale);
-    let scaled = scale != 1.0;
+    let is_scaled = scale != 1.0;
     text.extend(
         format!(
             "    def Mesh \"{name}\" (\n        prepend apiSchemas = [\"MaterialBindingAPI\"]\n{}        displayName = {}\n    )\n    {{\n        \
@@ -115,8 +116,8 @@ fn surface(mesh: &Mesh, name: &str, scale: f64, text: &mut Vec<u8>, out: &mut im
              uniform token[] xformOpOrder = [\"xformOp:translate\"{}]\n        float3[] extent = [{}]\n",
             provenance(mesh),
             quoted(&mesh.name),
-            if scaled { format!("        double3 xformOp:scale = ({scale:?}, {scale:?}, {scale:?})\n") } else { String::new() },
-            if scaled { ", \"xformOp:scale\"" } else { "" },
+            if is_scaled { format!("        double3 xformOp:scale = ({scale:?}, {scale:?}, {scale:?})\n") } else { String::new() },
+            if is_scaled { ", \"xformOp:scale\"" } else { "" },
             String::from_utf8_lossy(&extent),
         )
         .bytes(),
@@ -125,7 +126,7 @@ fn surface(mesh: &Mesh, name: &str, scale: f64, text: &mut Vec<u8>, out: &mut im
     text.extend_from_slice(b"        point3f[] points = [");
     tuples(&mesh.positions, decimals, text, out)?;
     text.extend_from_slice(b"]\n        normal3f[] normals = [");
-    tuples(&mesh.normals, Decimals::new(SHARE_DIGITS), text, out)?;
+    tuples(&mesh.normals, Decimals::new(UNIT_DIGITS), text, out)?;
     text.extend_from_slice(b"] (\n            interpolation = \"vertex\"\n        )\n");
     colors(mesh, text, out)?;
     fields(mesh, text, out)?;
@@ -133,7 +134,7 @@ fn surface(mesh: &Mesh, name: &str, scale: f64, text: &mut Vec<u8>, out: &mut im
     Ok(())
 }
 
-/// Returns the metadata that name volume, view, frame and notices, in the order of their names, as USD writes dictionaries.
+/// Returns the metadata of a mesh: provenance, frame, unit and notices, sorted by name as USD sorts dictionaries.
 fn provenance(mesh: &Mesh) -> String {
     let mut pairs: BTreeMap<&str, String> = mesh
         .provenance
@@ -174,7 +175,7 @@ fn topology(mesh: &Mesh, text: &mut Vec<u8>, out: &mut impl Write) -> Result<(),
     Ok(())
 }
 
-/// Writes rows of three numbers, with commas between them.
+/// Writes triples of numbers, separated by commas.
 fn tuples(rows: &[[f32; 3]], decimals: Decimals, text: &mut Vec<u8>, out: &mut impl Write) -> Result<(), ExportError> {
     for (i, row) in rows.iter().enumerate() {
         text.extend_from_slice(if i == 0 { b"(" } else { b", (" });
@@ -190,15 +191,15 @@ fn tuples(rows: &[[f32; 3]], decimals: Decimals, text: &mut Vec<u8>, out: &mut i
     Ok(())
 }
 
-/// Writes the colours of the vertices, or that of the surface; linear, as USD defines them.
+/// Writes the colours of the vertices, or else the colour of the surface. Colours are linear, as USD defines them.
 fn colors(mesh: &Mesh, text: &mut Vec<u8>, out: &mut impl Write) -> Result<(), ExportError> {
-    let decimals = Decimals::new(SHARE_DIGITS);
-    let of_vertices: Vec<[f32; 3]> = (mesh.colors.iter())
+    let decimals = Decimals::new(UNIT_DIGITS);
+    let vertex_colors: Vec<[f32; 3]> = (mesh.colors.iter())
         .map(|color| color.map(|component| f32::from(component) / 65535.0))
         .collect();
-    let (colors, interpolation) = match of_vertices.is_empty() {
+    let (colors, interpolation) = match vertex_colors.is_empty() {
         true => (vec![color(mesh)], "constant"),
-        false => (of_vertices, "vertex"),
+        false => (vertex_colors, "vertex"),
     };
     text.extend_from_slice(b"        color3f[] primvars:displayColor = [");
     tuples(&colors, decimals, text, out)?;
@@ -223,7 +224,7 @@ fn color(mesh: &Mesh) -> [f32; 3] {
 
 /// Writes the values of fields at the vertices. A missing value is NaN.
 fn fields(mesh: &Mesh, text: &mut Vec<u8>, out: &mut impl Write) -> Result<(), ExportError> {
-    let names = free_names(mesh.fields.iter().map(|field| identifier(&field.name)), &TAKEN);
+    let names = distinct_names(mesh.fields.iter().map(|field| identifier(&field.name)), &TAKEN);
     for (field, name) in mesh.fields.iter().zip(names) {
         text.extend(format!("        float[] primvars:{name} = [").bytes());
         for (i, value) in field.values.iter().enumerate() {
@@ -233,7 +234,7 @@ fn fields(mesh: &Mesh, text: &mut Vec<u8>, out: &mut impl Write) -> Result<(), E
             if value.is_nan() {
                 text.extend_from_slice(b"nan");
             } else {
-                // Writing to a vector does not fail.
+                // Cannot fail, because the target is a vector.
                 let _ = write!(text, "{value:?}");
             }
             flush(text, out, PIECE_BYTES)?;
@@ -254,7 +255,7 @@ fn fields(mesh: &Mesh, text: &mut Vec<u8>, out: &mut impl Write) -> Result<(), E
     Ok(())
 }
 
-/// Returns the material of a mesh. If the vertices have colours, the material reads those.
+/// Returns the material of a mesh. If the vertices have colours, the material uses these.
 fn material(mesh: &Mesh, name: &str) -> String {
     let path = format!("/Surfaces/{MATERIALS}/{name}");
     let ([red, green, blue], opacity) = (color(mesh), mesh.material.opacity);

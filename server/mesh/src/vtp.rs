@@ -1,5 +1,6 @@
-//! VTP, the `PolyData` of VTK's XML formats (<https://docs.vtk.org/en/latest/design_documents/VTKFileFormats.html>), read by ParaView
-//! and VTK. Arrays are appended as raw bytes, each behind its length, or as blocks of zlib, each array behind the lengths of its blocks.
+//! VTP, the `PolyData` of VTK's XML formats (<https://docs.vtk.org/en/latest/design_documents/VTKFileFormats.html>), for ParaView and VTK.
+//!
+//! Arrays follow the XML. An array is its length and raw bytes or, if it is compressed, the lengths of its blocks and blocks of zlib.
 
 use std::io::{self, Write};
 
@@ -13,17 +14,17 @@ use super::{ExportError, Mesh, PIECE_BYTES, flush};
 
 /// Bytes of the length before each array.
 const LENGTH_BYTES: u64 = 8;
-/// Bytes of a block of an array; blocks are compressed one by one.
+/// Bytes of a block before compression. Blocks are compressed separately, in parallel.
 const BLOCK_BYTES: usize = 1 << 20;
-/// The fast level. A slower one takes three times as long to save a tenth of the bytes.
+/// Compression level. The fastest one, because slower ones take three times as long to save a tenth of the bytes.
 const LEVEL: Compression = Compression::fast();
 
-/// Writes `mesh`: a point has `normal`, `smoothness` and `feature` (0 to 1), a triangle the `level` of its leaf. `frame` and `unit` of the
-/// points, which have 64 bits, are strings of the data set, as are the notices of the volume; without a unit or a notice these are missing.
-/// Indices have 32 bits. `compresses`: arrays are blocks of zlib, which are all made before the first is written.
+/// Writes `mesh`. A point has `normal`, `smoothness` and `feature` (0 to 1), and a triangle has the `level` of its leaf. Positions have 64
+/// bits, and indices 32 bits. Strings of the data set contain frame, unit and notices, if the mesh has them. If `compresses`, all arrays
+/// are compressed in memory before the first one is written.
 ///
 /// # Errors
-/// More than 32-bit indices reach, or the errors of `out`.
+/// The mesh has too many corners for 32-bit numbers, or `out` fails.
 pub fn write(mesh: &Mesh, compresses: bool, out: &mut impl Write) -> Result<(), ExportError> {
     let arrays = Arrays::new(mesh)?;
     let blocks: Vec<Option<Vec<u8>>> = match compresses {
@@ -106,22 +107,23 @@ enum Content {
     Normals,
     Smoothness,
     Feature,
-    /// Values of the field of this number.
+    /// Values of the field with this number.
     Field(usize),
     Colors,
     Levels,
     Positions,
     Corners,
+    /// For each triangle, the number of corners up to its end.
     Ends,
 }
 
-/// All arrays, in their order in the file.
+/// All arrays, in the order of the file.
 struct Arrays(Vec<Array>);
 
 impl Arrays {
     fn new(mesh: &Mesh) -> Result<Self, ExportError> {
         let (points, triangles) = (mesh.positions.len() as u64, mesh.triangles.len() as u64);
-        // The ends of triangles count corners, as signed 32-bit numbers.
+        // The last of the ends is the number of all corners, as a signed 32-bit number.
         if 3 * triangles > i32::MAX as u64 {
             return Err(ExportError::TooLarge {
                 what: "corners of triangles",
@@ -185,8 +187,8 @@ impl Content {
     }
 }
 
-/// Returns an array as blocks of zlib: number of blocks, bytes of a block, bytes of the last block, compressed bytes of each block, and the
-/// blocks.
+/// Returns a compressed array: number of blocks, uncompressed bytes of a block, uncompressed bytes of the last block, compressed bytes of
+/// each block, and the blocks.
 fn compressed(mesh: &Mesh, array: &Array) -> Result<Vec<u8>, ExportError> {
     let mut bytes = Vec::with_capacity(array.bytes as usize);
     array.content.write(mesh, &mut bytes)?;
@@ -196,9 +198,9 @@ fn compressed(mesh: &Mesh, array: &Array) -> Result<Vec<u8>, ExportError> {
         encoder.finish()
     });
     let blocks: Vec<Vec<u8>> = deflated.collect::<io::Result<_>>()?;
-    // 0 means that the last block is as long as the others.
-    let last = bytes.len() % BLOCK_BYTES;
-    let header = [blocks.len(), BLOCK_BYTES, last]
+    // 0 if the last block is as long as the others, as the format requires.
+    let last_bytes = bytes.len() % BLOCK_BYTES;
+    let header = [blocks.len(), BLOCK_BYTES, last_bytes]
         .into_iter()
         .chain(blocks.iter().map(Vec::len));
     let header: Vec<u8> = header.flat_map(|number| (number as u64).to_le_bytes()).collect();
@@ -216,7 +218,7 @@ fn field_data(mesh: &Mesh) -> String {
     ]
     .concat();
     if mesh.frame.is_anatomical() {
-        // In the form that 3D Slicer reads.
+        // States the frame in the form that 3D Slicer reads.
         field_data += &text("SPACE", mesh.frame.name());
     }
     for (field, name) in mesh.fields.iter().zip(names(mesh)) {
@@ -231,12 +233,12 @@ fn field_data(mesh: &Mesh) -> String {
     field_data
 }
 
-/// Names of arrays of the fields.
+/// Returns the array names of the fields.
 fn names(mesh: &Mesh) -> Vec<String> {
     attribute_names(mesh, "", &["normal", "smoothness", "feature", "color"])
 }
 
-/// Returns a string of the data set: the numbers of its bytes, ended by a 0.
+/// Returns the element of a string of the data set. The string is a list of its bytes as numbers, with a final 0.
 fn text(name: &str, value: &str) -> String {
     let numbers: Vec<String> = value.bytes().chain([0]).map(|byte| byte.to_string()).collect();
     format!(
@@ -245,14 +247,14 @@ fn text(name: &str, value: &str) -> String {
     )
 }
 
-/// Writes rows that are made one by one.
-fn rows<T: bytemuck::NoUninit>(out: &mut impl Write, numbers: impl Iterator<Item = T>) -> Result<(), ExportError> {
-    let mut rows = Vec::with_capacity(2 * PIECE_BYTES);
-    for row in numbers {
-        rows.extend_from_slice(bytemuck::bytes_of(&row));
-        flush(&mut rows, out, PIECE_BYTES)?;
+/// Writes rows that an iterator computes.
+fn rows<T: bytemuck::NoUninit>(out: &mut impl Write, rows: impl Iterator<Item = T>) -> Result<(), ExportError> {
+    let mut buffer = Vec::with_capacity(2 * PIECE_BYTES);
+    for row in rows {
+        buffer.extend_from_slice(bytemuck::bytes_of(&row));
+        flush(&mut buffer, out, PIECE_BYTES)?;
     }
-    flush(&mut rows, out, 0)
+    flush(&mut buffer, out, 0)
 }
 
 #[cfg(test)]

@@ -1,10 +1,10 @@
-//! Texts in XML.
+//! Escapes texts for XML.
 
 use std::borrow::Cow;
 
 use quick_xml::escape::escape;
 
-/// Escapes a text for elements and attributes. Characters that XML 1.0 cannot hold are left out.
+/// Escapes a text for elements and attributes. Omits characters that XML 1.0 does not allow.
 pub fn escaped(text: &str) -> Cow<'_, str> {
     let is_allowed =
         |c: char| matches!(c, '\t' | '\n' | '\r' | ' '..='\u{d7ff}' | '\u{e000}'..='\u{fffd}' | '\u{10000}'..);

@@ -1,5 +1,5 @@
-//! The audit log: one JSON line for each sign-in, stream, export, job and upload, for each refused request, and for each token that
-//! appears or is removed. Lines have no secrets, and no names of volumes, which may be names of patients.
+//! The audit log: a JSON line for each sign-in, stream, export, job and upload, for each refused request, and for each token that appears
+//! or is removed. Lines contain no secrets. They contain no names of volumes either, because these may be names of patients.
 
 mod event;
 mod refusals;
@@ -28,14 +28,14 @@ use super::peer::counted_as;
 use crate::clock;
 use crate::problem::ProblemCode;
 
-/// How long refusals of a kind are counted before a line states their number.
+/// Time over which repeated refusals of one kind are counted. Then one line states their number.
 const COUNTING_PERIOD: Duration = Duration::from_secs(60);
 
-/// Interval at which counts that are due are written.
+/// Interval at which due counts are written.
 const WRITE_INTERVAL: Duration = Duration::from_secs(1);
 
-/// Maximum lines that wait for the disk, some 200 bytes each. Requests never wait: further lines are dropped and counted, and a line
-/// states how many were dropped.
+/// Maximum number of lines that wait for the disk, some 200 bytes each. If the queue is full, lines are dropped instead of delaying
+/// requests, and a later line states their number.
 const QUEUE: usize = 4_096;
 
 /// The result of a request.
@@ -46,11 +46,11 @@ enum Outcome {
     /// Authentication, authorization, the host check or a rate limit refused the request.
     Refused,
     Failed,
-    /// The client left before there was an answer.
+    /// The client disconnected before the response.
     Abandoned,
 }
 
-/// A line.
+/// A line of the log.
 #[derive(Debug, Serialize)]
 struct Line<'a> {
     time: String,
@@ -62,18 +62,18 @@ struct Line<'a> {
     code: Option<&'static str>,
     #[serde(skip_serializing_if = "Option::is_none")]
     user: Option<&'a str>,
-    /// The token's id.
+    /// Id of the token.
     #[serde(skip_serializing_if = "Option::is_none")]
     token: Option<&'a str>,
     #[serde(skip_serializing_if = "Option::is_none")]
     peer: Option<IpAddr>,
-    /// The job's id.
+    /// Id of the job.
     #[serde(skip_serializing_if = "Option::is_none")]
     job: Option<&'a str>,
-    /// The upload's id.
+    /// Id of the upload.
     #[serde(skip_serializing_if = "Option::is_none")]
     upload: Option<&'a str>,
-    /// Number of further refusals of this kind since its previous line.
+    /// Number of further refusals of this kind since the previous line of this kind.
     #[serde(skip_serializing_if = "Option::is_none")]
     count: Option<u64>,
 }
@@ -85,6 +85,7 @@ pub struct Audit(Arc<Shared>);
 #[derive(Debug)]
 struct Shared {
     commands: SyncSender<Command>,
+    /// Number of dropped lines that no line has stated yet.
     lost: Arc<AtomicU64>,
     refusals: Arc<Mutex<Refusals>>,
 }
@@ -98,7 +99,7 @@ pub struct AuditError {
 }
 
 impl Audit {
-    /// Appends to the file at `path`. If it does not exist, creates it with access for the server's user only.
+    /// Opens a log that appends to the file at `path`. If the file does not exist, creates it with access for the user of the server only.
     ///
     /// # Errors
     /// [`AuditError`].
@@ -107,11 +108,11 @@ impl Audit {
             path: path.to_owned(),
             source,
         };
-        let (commands, received) = mpsc::sync_channel(QUEUE);
+        let (commands, receiver) = mpsc::sync_channel(QUEUE);
         let (lost, refusals) = (Arc::new(AtomicU64::new(0)), Arc::default());
         let writer = Writer::open(path, &lost, &refusals).map_err(fail)?;
         let thread = std::thread::Builder::new().name("audit".into());
-        thread.spawn(move || writer.run(&received)).map_err(fail)?;
+        thread.spawn(move || writer.run(&receiver)).map_err(fail)?;
         Ok(Self(Arc::new(Shared {
             commands,
             lost,
@@ -124,11 +125,11 @@ impl Audit {
         self.send(Command::Reopen);
     }
 
-    /// Waits until all lines are in the file, or some time has passed.
+    /// Waits until all lines are in the file, but at most for `limit`.
     pub fn flush(&self, limit: Duration) {
-        let (done, waiting) = mpsc::sync_channel(1);
+        let (done, flushed) = mpsc::sync_channel(1);
         self.send(Command::Flush(done));
-        let _ = waiting.recv_timeout(limit);
+        let _ = flushed.recv_timeout(limit);
     }
 
     fn send(&self, command: Command) {
@@ -141,7 +142,7 @@ impl Audit {
         self.send(Command::Write(line.text()));
     }
 
-    /// Writes a refusal. If one of the same kind was written within the last minute, it is only counted, so that clients without a token
+    /// Writes a refusal, or only counts it if one of the same kind was written within [`COUNTING_PERIOD`]. So clients without a token
     /// cannot fill the disk.
     fn refused(&self, line: &Line<'_>) {
         let kind = Kind {
@@ -193,7 +194,7 @@ impl Audit {
 
 impl Line<'_> {
     fn text(&self) -> Vec<u8> {
-        // Cannot fail: only maps can have keys that are not strings, and there are none.
+        // Cannot fail: serde_json fails only for maps whose keys are not strings, and a line has no maps.
         let mut text = serde_json::to_vec(self).unwrap_or_default();
         text.push(b'\n');
         text
@@ -204,7 +205,8 @@ fn lock(refusals: &Mutex<Refusals>) -> MutexGuard<'_, Refusals> {
     refusals.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// A request that is not answered yet. If it is dropped before the answer, the client has disconnected, and it is logged as abandoned.
+/// A request without a response yet. If this value is dropped before the response, the client has disconnected, and the request is logged
+/// as abandoned.
 pub(super) struct Pending {
     audit: Audit,
     event: Event,
@@ -219,12 +221,13 @@ impl Pending {
         self.who = Some(who.clone());
     }
 
-    pub(super) fn answered(mut self, answer: &Response) {
+    /// Logs the response to the request.
+    pub(super) fn answered(mut self, response: &Response) {
         self.is_answered = true;
-        let status = answer.status();
-        let code = answer.extensions().get().map(|&ProblemCode(code)| code);
+        let status = response.status();
+        let code = response.extensions().get().map(|&ProblemCode(code)| code);
         let result = match status {
-            // The browser is redirected back to the page, which shows why the sign-in was refused.
+            // A refused sign-in redirects the browser to the page, which shows the reason.
             _ if status.is_redirection() && code.is_some() => Outcome::Refused,
             StatusCode::UNAUTHORIZED
             | StatusCode::FORBIDDEN
@@ -233,14 +236,14 @@ impl Pending {
             _ if status.is_client_error() || status.is_server_error() => Outcome::Failed,
             _ => Outcome::Ok,
         };
-        // Other requests are not logged, because they are many and change nothing.
+        // Other requests are logged only if they were refused, because they are many and change nothing.
         if self.event == Event::Request && result != Outcome::Refused {
             return;
         }
-        if let Some(who) = answer.extensions().get::<Identity>() {
+        if let Some(who) = response.extensions().get::<Identity>() {
             self.set_identity(who);
         }
-        let id = self.id.take().or_else(|| created_id(answer.headers()));
+        let id = self.id.take().or_else(|| created_id(response.headers()));
         self.write(result, Some(status.as_u16()), code, id.as_deref());
     }
 

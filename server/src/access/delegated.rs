@@ -1,6 +1,6 @@
-//! Delegated tokens. The holder of a token makes one with no more roles than their own that lasts for minutes. A page of another site
-//! hands it to the viewer in its frame. The page keeps the token in memory only; the server keeps its hash until that token or the
-//! lender's expires.
+//! Delegated tokens. The holder of a token, the lender, can delegate some of its roles to a new token that expires after minutes. A page of
+//! another site passes this token to the viewer in its frame. The page has the token in memory only. The server stores its hash until the
+//! token or the token of the lender expires.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -16,11 +16,11 @@ use super::token::{Hash, Token, TokenError};
 pub const DEFAULT_SECONDS: u64 = 600;
 /// Bounds of the lifetime in seconds: from the time that a page takes to load, to the length of a talk.
 pub const SECONDS: std::ops::RangeInclusive<u64> = 10..=3_600;
-/// Roles that may be delegated. Exports, jobs and uploads belong to a user, and all frames of a page would share that user's.
+/// Roles that may be delegated. Exports, jobs and uploads belong to a user, so all viewers of an embedding page would share them.
 pub const ROLES: [Role; 2] = [Role::View, Role::Edit];
-/// Maximum tokens, some 500 bytes each.
+/// Maximum number of delegated tokens, some 500 bytes each.
 const MAX_TOKENS: usize = 4_096;
-/// Maximum tokens that one token may delegate, so that one lender cannot use up all of them: twice the viewers of a server.
+/// Maximum number of tokens of one lender, so that no lender uses up all of them. Twice the maximum number of viewers.
 const MAX_OF_LENDER: usize = 2_048;
 
 /// Why a token was not delegated.
@@ -29,7 +29,7 @@ pub enum DelegateError {
     /// The server runs without authentication, so no token is needed.
     #[error("this server runs without tokens (--no-auth), so that a frame needs none: leave out the request for one")]
     NoAuth,
-    /// The lender's token is itself a delegated one. Otherwise a holder could renew it for ever.
+    /// The lender's token is a delegated token. It must not be delegated again, because its holder could renew it forever.
     #[error(
         "this token was delegated, expected one that was not: the start token, one of the token file, or a sign-in"
     )]
@@ -40,7 +40,7 @@ pub enum DelegateError {
     /// The lender lacks one of the requested roles.
     #[error("this token has the roles {0}, requested are {1}: a token delegates only roles that it has")]
     NotOwn(Roles, Roles),
-    /// No roles.
+    /// The request names no roles.
     #[error("roles is empty, expected view or edit")]
     NoRoles,
     /// The lifetime is too short or too long.
@@ -54,7 +54,7 @@ pub enum DelegateError {
         /// Time until the next one expires.
         wait: Duration,
     },
-    /// There are no random numbers.
+    /// The system has no random numbers.
     #[error(transparent)]
     Random(#[from] TokenError),
 }
@@ -64,39 +64,40 @@ pub enum DelegateError {
 pub(super) struct DelegatedTokens(Arc<Mutex<HashMap<String, (Hash, Delegated)>>>);
 
 impl DelegatedTokens {
+    /// Creates a token that expires after `seconds`.
     fn lend(&self, lender: &Identity, roles: Roles, seconds: u64) -> Result<Token, DelegateError> {
         let token = Token::random()?;
         let id = token.id().unwrap_or_default();
         let now = now();
         let mut tokens = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        tokens.retain(|_, (_, lent)| lent.is_valid());
-        let is_own = |lent: &Delegated| lent.lender.token() == lender.token();
-        let own = tokens.values().filter(|(_, lent)| is_own(lent)).count();
+        tokens.retain(|_, (_, delegated)| delegated.is_valid());
+        let is_own = |delegated: &Delegated| delegated.lender.token() == lender.token();
+        let own = tokens.values().filter(|(_, delegated)| is_own(delegated)).count();
         let (is_full, count) = (tokens.len() >= MAX_TOKENS, tokens.len());
         if is_full || own >= MAX_OF_LENDER {
-            let waited_for = tokens.values().filter(|(_, lent)| is_full || is_own(lent));
-            let next = waited_for.map(|(_, lent)| lent.expires).min().unwrap_or(now);
+            let limiting = tokens.values().filter(|(_, delegated)| is_full || is_own(delegated));
+            let next = limiting.map(|(_, delegated)| delegated.expires).min().unwrap_or(now);
             let wait = Duration::from_secs(next.saturating_sub(now).max(1));
             return Err(DelegateError::TooMany {
                 count: if is_full { count } else { own },
                 wait,
             });
         }
-        let lent = Delegated {
+        let delegated = Delegated {
             id: id.into(),
             roles,
             expires: now.saturating_add(seconds),
             lender: Arc::new(lender.clone()),
         };
-        tokens.insert(id.to_owned(), (Hash::of(token.text()), lent));
+        tokens.insert(id.to_owned(), (Hash::of(token.text()), delegated));
         Ok(token)
     }
 
-    /// Finds a token that is still valid.
+    /// Returns the delegated token with this id, if `token` is its text and it is still valid.
     pub(super) fn find(&self, id: &str, token: &str) -> Option<Delegated> {
         let tokens = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        let (hash, lent) = tokens.get(id)?;
-        (hash.is_of(token) && lent.is_valid()).then(|| lent.clone())
+        let (hash, delegated) = tokens.get(id)?;
+        (hash.is_of(token) && delegated.is_valid()).then(|| delegated.clone())
     }
 }
 
@@ -118,15 +119,15 @@ impl Access {
         if !SECONDS.contains(&seconds) {
             return Err(DelegateError::Seconds(seconds));
         }
-        let may = roles.iter().all(|&role| who.may(role));
+        let has_all = roles.iter().all(|&role| who.may(role));
         let roles = Roles::from(roles);
         if roles.is_empty() {
             return Err(DelegateError::NoRoles);
         }
-        if !may {
+        if !has_all {
             return Err(DelegateError::NotOwn(who.roles(), roles));
         }
-        proofs.lent().lend(who, roles, seconds)
+        proofs.delegated().lend(who, roles, seconds)
     }
 }
 
@@ -156,7 +157,7 @@ mod tests {
         let refused = access.exchange(token.text()).expect_err("it is for no cookie");
         assert_eq!(refused.status().as_u16(), 403);
         // A token that has expired already: the minimum lifetime of ten seconds is too long for a test.
-        let lent = access.proofs.as_ref().expect("proofs").lent();
+        let lent = access.proofs.as_ref().expect("proofs").delegated();
         let ended = lent.lend(&operator, vec![Role::View].into(), 0).expect("a token");
         assert!(access.who(ended.text()).is_none());
     }
@@ -214,7 +215,7 @@ mod tests {
     fn there_are_only_so_many() {
         let (access, operator) = access();
         let other = Identity::without_token();
-        let lent = access.proofs.as_ref().expect("proofs").lent();
+        let lent = access.proofs.as_ref().expect("proofs").delegated();
         for _ in 0..MAX_OF_LENDER {
             lent.lend(&operator, vec![Role::View].into(), 60).expect("a token");
         }

@@ -1,5 +1,5 @@
-//! The check before every request: of its host, of the page that it comes from, of its token and of its rate. Handlers then find the
-//! [`Identity`] of the sender in the request.
+//! Middleware that checks every request: its host, the origin of its page, its token and its rate. Handlers find the [`Identity`] of the
+//! sender in the extensions of the request.
 
 use std::net::IpAddr;
 use std::time::{Duration, Instant};
@@ -24,12 +24,12 @@ const STREAM_PATH: &str = "/api/v1/stream";
 /// Paths of the liveness and readiness probes.
 const PROBES: [&str; 2] = ["/healthz", "/readyz"];
 
-/// The header in which browsers state how the page that sends a request relates to the server's site.
+/// Header in which browsers state whether a page of the same site or of another site sends the request.
 const FETCH_SITE: HeaderName = HeaderName::from_static("sec-fetch-site");
 
-/// Middleware that passes on admitted requests, and answers the others with an error.
+/// Passes an admitted request to its handler, and answers any other request with an error.
 pub async fn admit(State(access): State<Access>, mut request: Request, next: Next) -> Response {
-    let peer = request.extensions().get().map(|&PeerAddress(peer)| peer);
+    let peer = request.extensions().get().map(|&PeerAddress(address)| address);
     let peer = peer.map(|peer| peer::client(peer, request.headers(), &access.proxies));
     let (method, path) = (request.method(), request.uri().path());
     let mut pending = access.audit.as_ref().map(|audit| audit.begin(method, path, peer));
@@ -50,7 +50,7 @@ pub async fn admit(State(access): State<Access>, mut request: Request, next: Nex
             }
             next.run(request).await
         }
-        Err(refused) => refused.into_response(),
+        Err(error) => error.into_response(),
     };
     if response.status() == StatusCode::UNAUTHORIZED
         && let (Some(rates), Some(peer)) = (&access.rates, peer)
@@ -70,20 +70,21 @@ impl Access {
         let (Some(rates), Some(peer)) = (&self.rates, peer) else {
             return Ok(());
         };
-        let taken = rates.charge_peer(peer, cost);
-        taken.map_err(|wait| too_many(wait, "your address"))
+        let charged = rates.charge_peer(peer, cost);
+        charged.map_err(|wait| too_many(wait, "your address"))
     }
 
     /// Identifies the sender of a request; `None` if the request needs no authentication.
     fn identify(&self, method: &Method, uri: &Uri, headers: &HeaderMap) -> Result<Option<Identity>, ApiError> {
         let path = uri.path();
         let required = required_access(method, path);
-        // Probes skip the check of the host, because they use an IP or a name that only their cluster knows. Their answer is a single word.
+        // The check of the host exempts probes, because they use an IP address or a name inside their cluster. Their response is a single
+        // word.
         let is_probe = PROBES.contains(&path) && matches!(*method, Method::GET | Method::HEAD);
         if !is_probe {
             self.hosts.check(uri, headers)?;
         }
-        // No authentication: the files of the page are not secret, and neither is whether the server is alive.
+        // The files of the page and the probes need no authentication, because they are not secret.
         if !path.starts_with("/api/") && required == RequiredAccess::Nothing {
             return Ok(None);
         }
@@ -106,22 +107,22 @@ impl Access {
             }
             None => proofs.find(headers, &self.cookie).ok_or_else(unauthorized)?,
         };
-        // Browsers attach the cookie to requests of any page, so a request that relies on it must state the page's origin in `Origin`.
+        // Browsers attach the cookie to requests of any page. So a request that relies on the cookie must state the origin of its page.
         if proof == Proof::Cookie && (is_write || path == STREAM_PATH) && !headers.contains_key(ORIGIN) {
             return Err(foreign("no page that is named"));
         }
         Ok(Some(who))
     }
 
-    /// Refuses a request of a page that may not use this server. `is_always_checked`: requests that change something, and streams, which
-    /// browsers let any page open. Other requests are checked only if the browser states that they come from another site.
+    /// Refuses a request of a page that may not use this server. `is_always_checked` is true for requests that change something, and for
+    /// streams, which browsers let any page open. Other requests are checked only if the browser states that they come from another site.
     fn check_origin(&self, headers: &HeaderMap, is_always_checked: bool) -> Result<(), ApiError> {
         let is_cross_site = headers.get(FETCH_SITE).is_some_and(|site| site == "cross-site");
         if !is_always_checked && !is_cross_site {
             return Ok(());
         }
         origin::check(headers, self).map_err(|origin| foreign(&origin))?;
-        // An image or a link in a foreign page: browsers send such requests without an `Origin`.
+        // Browsers send no `Origin` with requests for an image or a link in a page of another site.
         if is_cross_site && !headers.contains_key(ORIGIN) {
             return Err(foreign("another site"));
         }
@@ -136,20 +137,20 @@ impl Access {
         {
             return Err(forbidden(who, roles));
         }
-        // Without authentication there is only the rate limit of each peer.
+        // Without authentication, only the rate limit of the peer applies.
         match &self.rates {
             Some(rates) if self.proofs.is_some() => {
-                let taken = rates.charge_token(who.token(), rate::cost(method, path));
-                taken.map_err(|wait| too_many(wait, "this token"))
+                let charged = rates.charge_token(who.token(), rate::cost(method, path));
+                charged.map_err(|wait| too_many(wait, "this token"))
             }
             _ => Ok(()),
         }
     }
 
-    /// Returns the cookie that stands for a token; `None` if the server runs without authentication.
+    /// Returns the header that sets the cookie for a token; `None` if the server runs without authentication.
     ///
     /// # Errors
-    /// The token is unknown, or it is a delegated one, for which there is no cookie.
+    /// The token is unknown, or it is a delegated token, for which the server issues no cookies.
     pub fn exchange(&self, token: &str) -> Result<Option<HeaderValue>, ApiError> {
         let Some(proofs) = &self.proofs else { return Ok(None) };
         let who = proofs.of_token(token).ok_or_else(unauthorized)?;
@@ -160,10 +161,10 @@ impl Access {
         Ok(Some(self.cookie.of(token, &who)))
     }
 
-    /// Issues a ticket for a stream, for a page of this origin or, without an origin, for a client that is not a page.
+    /// Issues a ticket for a stream. The ticket is valid for a page of this origin; without an origin, for a client that is not a page.
     ///
     /// # Errors
-    /// There are too many unused tickets.
+    /// Too many tickets are unused.
     pub fn issue_ticket(&self, who: &Identity, origin: Option<&HeaderValue>) -> Result<String, ApiError> {
         let issued = self.tickets.issue(who, origin, Instant::now());
         issued.map_err(|error| match error {

@@ -1,5 +1,5 @@
-//! Host names that the server accepts. With DNS rebinding a foreign page makes its own name resolve to this machine, so its browser takes
-//! it for a page of the server's origin. Only the name in `Host` distinguishes it from the server's own page.
+//! Host names that the server accepts. With DNS rebinding, a foreign page makes its own host name resolve to this machine, so that the
+//! browser lets the page read responses of this server. The server detects this by the name in the header `Host`.
 
 use std::net::{IpAddr, SocketAddr};
 use std::str::FromStr;
@@ -11,7 +11,7 @@ use axum::http::{StatusCode, Uri};
 use super::origin::AllowedOrigin;
 use crate::problem::ApiError;
 
-/// Address at which a proxy offers the server: `https://volumes.example`, optionally with a path.
+/// Public address of the server at a proxy: `https://volumes.example`, optionally with a path.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct PublicUrl {
     origin: AllowedOrigin,
@@ -31,7 +31,7 @@ impl FromStr for PublicUrl {
         if uri.query().is_some() || text.contains('#') {
             return Err(refuse(()));
         }
-        // Browsers leave the port out of an origin if it is the default of the scheme.
+        // Browsers omit the default port of the scheme in an origin.
         let implied = if scheme == "https" { ":443" } else { ":80" };
         let bare = authority.as_str().trim_end_matches(implied);
         Ok(Self {
@@ -43,12 +43,12 @@ impl FromStr for PublicUrl {
 }
 
 impl PublicUrl {
-    /// Origin of the pages at this address.
+    /// Returns the origin of the pages at this address.
     pub fn origin(&self) -> &AllowedOrigin {
         &self.origin
     }
 
-    /// Whether connections to it are encrypted.
+    /// Whether the address has the scheme `https`.
     pub fn is_https(&self) -> bool {
         self.url.starts_with("https:")
     }
@@ -60,8 +60,8 @@ impl std::fmt::Display for PublicUrl {
     }
 }
 
-/// The names in `Host` that the server accepts. Ports are not compared, because a tunnel or a container may map them, and rebinding is
-/// about names.
+/// The host names that the server accepts. Ports are not compared, because a tunnel or a container may map them, and because DNS rebinding
+/// cannot change the name.
 #[derive(Clone, Debug)]
 pub(super) struct AllowedHosts {
     listen: IpAddr,
@@ -85,19 +85,20 @@ impl AllowedHosts {
         }
         let host = host_of(&authority);
         match host.parse::<IpAddr>().map(|address| address.to_canonical()) {
-            // An IP address cannot be a rebound DNS name. If the server listens on every address, accept any: a container or router may map
-            // another address to it.
+            // DNS rebinding needs a name, so an IP address is safe. A server that listens on all addresses accepts any IP address, because
+            // a container or router may map another address to it.
             Ok(address) => address.is_loopback() || address == self.listen || self.listen.is_unspecified(),
-            // Browsers resolve `localhost` and its subdomains to this machine themselves.
+            // Safe, because browsers resolve `localhost` and its subdomains to this machine without DNS.
             Err(_) if host == "localhost" || host.ends_with(".localhost") => true,
             Err(_) => self.public.contains(&host),
         }
     }
 
-    /// Checks the `Host` header of a request, of which there must be exactly one, and the host of the request target if it has one.
+    /// Checks that a request has exactly one header `Host`, and that the server accepts this host. Also checks the host of the request
+    /// target, if the target has one.
     ///
     /// # Errors
-    /// Another host: 421.
+    /// 421 if a host is not accepted.
     pub(super) fn check(&self, uri: &Uri, headers: &HeaderMap) -> Result<(), ApiError> {
         let mut hosts = headers.get_all(HOST).iter();
         let (Some(host), None) = (hosts.next(), hosts.next()) else {
@@ -121,7 +122,7 @@ fn misdirected(host: &str) -> ApiError {
     ApiError::new(StatusCode::MISDIRECTED_REQUEST, "foreign-host", message)
 }
 
-/// Returns a host in lower case: an IPv6 address without its brackets, a name without the dot that may end it.
+/// Returns the host in lower case, without the brackets of an IPv6 address or the final dot of a name.
 fn host_of(authority: &Authority) -> String {
     let host = authority.host().to_ascii_lowercase();
     let host = host.strip_suffix('.').unwrap_or(&host);

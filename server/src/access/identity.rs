@@ -15,11 +15,13 @@ use super::role::{Role, Roles};
 use super::signed_in::SignedIn;
 use crate::problem::ApiError;
 
-/// The user who started the server. They own the start token; on a server without authentication they own everything.
+/// Name of the user who started the server, and who owns the start token. On a server without authentication, all requests are of this
+/// user.
 pub const OPERATOR: &str = "operator";
 
-/// Interval at which the expiry of a token is checked. One timer would be wrong if the system clock is set or the machine sleeps.
-const LOOK: Duration = Duration::from_secs(1);
+/// Interval at which the expiry of a token is checked. A single timer would be wrong after the system clock was set or the machine has
+/// slept.
+const CHECK_INTERVAL: Duration = Duration::from_secs(1);
 
 /// An authenticated user. Clones are cheap.
 #[derive(Clone, Debug)]
@@ -27,29 +29,30 @@ pub struct Identity {
     user: Arc<str>,
     token: Arc<str>,
     roles: Roles,
-    holds: Holds,
+    validity: Validity,
+    /// Address that the request comes from.
     address: Option<IpAddr>,
 }
 
 /// How long an identity stays valid.
 #[derive(Clone, Debug)]
-enum Holds {
-    /// For as long as the server runs.
+enum Validity {
+    /// Until the server ends.
     Always,
     /// Until the token expires, is revoked or changed.
     Named(Arc<NamedToken>, watch::Receiver<Arc<NamedTokens>>),
     /// Until the session ends.
     SignedIn(SignedIn),
-    /// For minutes, and at most as long as the token that delegated it is valid.
+    /// Until the delegated token or the token of its lender expires.
     Delegated(Delegated),
 }
 
-/// A token that its lender has delegated. Its holder acts as the lender's user. Clones are the same token.
+/// A delegated token. Its holder acts as the user of the lender.
 #[derive(Clone, Debug)]
 pub(super) struct Delegated {
     pub id: Arc<str>,
     pub roles: Roles,
-    /// Time at which it expires, in seconds of Unix time.
+    /// Expiry in seconds of Unix time.
     pub expires: u64,
     pub lender: Arc<Identity>,
 }
@@ -61,68 +64,69 @@ impl Delegated {
 }
 
 impl Identity {
-    /// The user who started the server; `token` is the public name of their credential.
+    /// Returns the identity of the user who started the server. `token` is the public name of the credential.
     pub(super) fn of_start(token: &str) -> Self {
         Self {
             user: OPERATOR.into(),
             token: token.into(),
             roles: Roles::ALL,
-            holds: Holds::Always,
+            validity: Validity::Always,
             address: None,
         }
     }
 
-    /// Every user of a server without authentication.
+    /// Returns the identity of every user of a server without authentication.
     pub fn without_token() -> Self {
         Self::of_start("none")
     }
 
+    /// Returns the identity of the owner of a named token. `tokens` tells when the token is revoked.
     pub(super) fn of_named(token: Arc<NamedToken>, tokens: watch::Receiver<Arc<NamedTokens>>) -> Self {
         Self {
             user: token.user.as_str().into(),
             token: token.id.as_str().into(),
             roles: token.roles,
-            holds: Holds::Named(token, tokens),
+            validity: Validity::Named(token, tokens),
             address: None,
         }
     }
 
-    /// A user who has signed in through an OpenID Connect issuer.
+    /// Returns the identity of a user who has signed in through an OpenID Connect issuer.
     pub(super) fn of_signed_in(session: SignedIn) -> Self {
         Self {
             user: Arc::clone(&session.user),
             token: Arc::clone(&session.name),
             roles: session.roles,
-            holds: Holds::SignedIn(session),
+            validity: Validity::SignedIn(session),
             address: None,
         }
     }
 
-    /// The holder of a delegated token. They see the same volumes as the lender's user.
-    pub(super) fn of_lent(lent: Delegated) -> Self {
+    /// Returns the identity of the holder of a delegated token, who sees the same volumes as the user of the lender.
+    pub(super) fn of_delegated(token: Delegated) -> Self {
         Self {
-            user: Arc::clone(&lent.lender.user),
-            token: Arc::clone(&lent.id),
-            roles: lent.roles,
-            holds: Holds::Delegated(lent),
+            user: Arc::clone(&token.lender.user),
+            token: Arc::clone(&token.id),
+            roles: token.roles,
+            validity: Validity::Delegated(token),
             address: None,
         }
     }
 
-    /// The user who owns the token. Jobs and uploads belong to the user, not to the token.
+    /// Returns the user who owns the token. Jobs and uploads belong to the user, not to the token.
     pub fn user(&self) -> &str {
         &self.user
     }
 
-    /// The public part of the token, or the public name of a signed-in user's session. It is `start` for the start token, and `none` on a
-    /// server without authentication.
+    /// Returns the public part of the token, or the public name of a signed-in user's session. Returns `start` for the start token, and
+    /// `none` on a server without authentication.
     pub fn token(&self) -> &str {
         &self.token
     }
 
-    /// Whether the token is one of the state folder.
+    /// Whether the token is a named token of the state folder.
     pub(super) fn is_named(&self) -> bool {
-        matches!(self.holds, Holds::Named(..))
+        matches!(self.validity, Validity::Named(..))
     }
 
     /// Returns the same identity with the address that a request comes from.
@@ -132,25 +136,25 @@ impl Identity {
         Self { address, ..self }
     }
 
-    /// Returns the address that a request comes from, if it is known; for IPv6 its network.
+    /// Returns the address that the request comes from, if it is known. An IPv6 address is replaced by its /64 network.
     pub fn address(&self) -> Option<IpAddr> {
         self.address
     }
 
     /// Whether the token was delegated.
     pub(super) fn is_delegated(&self) -> bool {
-        matches!(self.holds, Holds::Delegated(..))
+        matches!(self.validity, Validity::Delegated(..))
     }
 
     /// Returns the seconds until the token or session expires; `None` if it has no expiry.
     pub fn expires_seconds(&self) -> Option<u64> {
-        let expires = match &self.holds {
-            Holds::Always => return None,
-            Holds::Named(token, _) => token.expires?,
-            Holds::SignedIn(session) => session.expires,
-            Holds::Delegated(lent) => {
-                let own = lent.expires.saturating_sub(now());
-                return Some(lent.lender.expires_seconds().map_or(own, |seconds| seconds.min(own)));
+        let expires = match &self.validity {
+            Validity::Always => return None,
+            Validity::Named(token, _) => token.expires?,
+            Validity::SignedIn(session) => session.expires,
+            Validity::Delegated(token) => {
+                let own = token.expires.saturating_sub(now());
+                return Some(token.lender.expires_seconds().map_or(own, |seconds| seconds.min(own)));
             }
         };
         Some(expires.saturating_sub(now()))
@@ -166,48 +170,49 @@ impl Identity {
         self.roles.include(role)
     }
 
-    /// Returns a filter for the volumes that the user sees. An administrator sees those of all users.
+    /// Returns a filter for the volumes that the user sees. An administrator sees the volumes of all users.
     pub fn reader(&self) -> Reader<'_> {
         Reader::new(&self.user, self.may(Role::Admin))
     }
 
-    /// Returns the user, if the limits per user apply to them. They do not apply to administrators.
+    /// Returns the user if limits per user apply; `None` for administrators, who are exempt.
     pub fn limited_user(&self) -> Option<&str> {
         (!self.may(Role::Admin)).then_some(&*self.user)
     }
 
     /// Whether the token or session is still valid.
     pub(super) fn is_valid(&self) -> bool {
-        match &self.holds {
-            Holds::Always => true,
-            Holds::Named(token, tokens) => {
-                let is_there = tokens.borrow().get(&token.id) == Some(token);
-                is_there && !token.has_expired(now())
+        match &self.validity {
+            Validity::Always => true,
+            Validity::Named(token, tokens) => {
+                let is_unchanged = tokens.borrow().get(&token.id) == Some(token);
+                is_unchanged && !token.has_expired(now())
             }
-            Holds::SignedIn(session) => session.is_valid(),
-            Holds::Delegated(lent) => lent.is_valid(),
+            Validity::SignedIn(session) => session.is_valid(),
+            Validity::Delegated(token) => token.is_valid(),
         }
     }
 
     /// Resolves when the token has expired, was revoked or changed, or its owner has signed out.
     pub async fn ended(&self) {
-        let (token, tokens) = match &self.holds {
-            Holds::Always => return std::future::pending().await,
-            Holds::Named(token, tokens) => (token, tokens),
-            Holds::SignedIn(session) => {
+        let (token, tokens) = match &self.validity {
+            Validity::Always => return std::future::pending().await,
+            Validity::Named(token, tokens) => (token, tokens),
+            Validity::SignedIn(session) => {
                 while session.is_valid() {
                     tokio::select! {
                         () = session.ended.cancelled() => {}
-                        () = tokio::time::sleep(LOOK) => {}
+                        () = tokio::time::sleep(CHECK_INTERVAL) => {}
                     }
                 }
                 return;
             }
-            Holds::Delegated(lent) => {
-                let lender = Box::pin(lent.lender.ended());
+            Validity::Delegated(token) => {
+                // Boxed, because the future is recursive.
+                let lender = Box::pin(token.lender.ended());
                 let own = async {
-                    while lent.is_valid() {
-                        tokio::time::sleep(LOOK).await;
+                    while token.is_valid() {
+                        tokio::time::sleep(CHECK_INTERVAL).await;
                     }
                 };
                 tokio::select! {
@@ -225,10 +230,10 @@ impl Identity {
             }
             tokio::select! {
                 changed = tokens.changed() => if changed.is_err() {
-                    // The server is shutting down.
+                    // The sender was dropped, because the server shuts down.
                     return std::future::pending().await;
                 },
-                () = tokio::time::sleep(LOOK), if token.expires.is_some() => {}
+                () = tokio::time::sleep(CHECK_INTERVAL), if token.expires.is_some() => {}
             }
         }
     }
@@ -239,7 +244,7 @@ impl<S: Sync> FromRequestParts<S> for Identity {
     type Rejection = ApiError;
 
     async fn from_request_parts(parts: &mut Parts, _: &S) -> Result<Self, ApiError> {
-        let found = parts.extensions.get::<Self>().cloned();
-        found.ok_or_else(|| ApiError::internal("a request has passed no gate"))
+        let identity = parts.extensions.get::<Self>().cloned();
+        identity.ok_or_else(|| ApiError::internal("a request has passed no gate"))
     }
 }

@@ -1,14 +1,15 @@
-//! Authentication and authorization. Each request passes the `gate`, which checks
+//! Authentication and authorization. The `gate` checks each request:
 //!
-//! - that it names one of the server's own hosts (`host`);
-//! - that it comes from a page of the server's own origin or of an allowed one (`origin`);
-//! - that it carries a `proof`: a `token`, a session or a ticket. A token is the start token, one of the state folder (`named`, `watched`)
-//!   or one that its holder has delegated (`delegated`). A session (`signed_in`) follows from a sign-in through an OpenID Connect issuer
-//!   (`oidc`, `sign_in`). A `ticket` is for a stream only; a page with a token or session requests it first;
-//! - that its sender (`identity`) has a `role` which allows the request;
-//! - that the rate limits (`rate`) of its token and of the `peer` that sends it are not exceeded.
+//! - Its header `Host` names a host of this server (`host`).
+//! - It comes from a page of the server or of an allowed origin (`origin`).
+//! - It carries a `proof` of its sender (`identity`): a `token`, a session or a ticket. A token is the start token, a token of the state
+//!   folder   (`named`, `watched`) or a delegated one (`delegated`). A session (`signed_in`) begins with a sign-in through an OpenID
+//!   Connect issuer   (`oidc`, `sign_in`). A `ticket` is for a stream only; a page with a token or a session requests the ticket first.
+//! - The sender has a `role` that allows the request.
+//! - The rate limits (`rate`) of the token and of the `peer` are not exceeded.
 //!
-//! The `audit` log records what was done and what was refused. `policy` states what browsers may do with the server's own pages.
+//! The `audit` log records requests and refusals. `policy` restricts what browsers let the pages of the server do. `seats` limits the
+//! number of concurrent viewers.
 
 mod audit;
 mod delegated;
@@ -58,27 +59,27 @@ use ticket::Tickets;
 #[derive(Clone, Debug)]
 pub struct Access {
     hosts: AllowedHosts,
-    /// Origins whose pages may use the server, beside its own.
+    /// Origins whose pages may use the server, in addition to its own.
     origins: Arc<[AllowedOrigin]>,
     /// Origins whose pages may embed the viewer in a frame, in addition to `origins`.
     frames: Arc<[AllowedOrigin]>,
     /// Origins of `--public-url`.
     public_origins: Arc<[AllowedOrigin]>,
     cookie: CookieName,
-    /// `None`: the server runs without authentication.
+    /// `None` if the server runs without authentication.
     proofs: Option<Proofs>,
     tickets: Tickets,
-    /// `None`: no rate limits.
+    /// `None` if there are no rate limits.
     rates: Option<RateLimits>,
     proxies: Arc<[TrustedProxy]>,
     audit: Option<Audit>,
-    /// `None`: users cannot sign in through an issuer.
+    /// `None` if users cannot sign in through an issuer.
     oidc: Option<Oidc>,
 }
 
 impl Access {
-    /// Creates the access control of a server without authentication that listens on `listen`. `public` are the addresses at which proxies
-    /// offer it, the first of which is shown to people. Pages of `origins` may use it.
+    /// Creates the access control of a server that listens on `listen`, without authentication. `public` are the addresses of the server at
+    /// proxies; the server prints the first of them for users. Pages of `origins` may use the server.
     pub fn new(listen: SocketAddr, public: &[PublicUrl], origins: &[AllowedOrigin]) -> Self {
         Self {
             hosts: AllowedHosts::new(listen, public),
@@ -102,7 +103,7 @@ impl Access {
         self
     }
 
-    /// Requires authentication, and accepts this token for all roles.
+    /// Requires authentication. `token` is the start token, which has all roles.
     #[must_use]
     pub fn with_token(mut self, token: &Token) -> Self {
         self.proofs = Some(Proofs::new(token));
@@ -118,7 +119,7 @@ impl Access {
         self
     }
 
-    /// Also lets users sign in through an issuer. Not required on a server without authentication.
+    /// Also lets users sign in through an issuer. Has no effect on a server without authentication.
     #[must_use]
     pub fn with_oidc(mut self, oidc: Option<Oidc>) -> Self {
         self.oidc = oidc;
@@ -146,12 +147,12 @@ impl Access {
         self
     }
 
-    /// The trusted proxies.
+    /// Returns the trusted proxies.
     pub fn proxies(&self) -> &Arc<[TrustedProxy]> {
         &self.proxies
     }
 
-    /// Returns the identity of a token's owner; `None` if the token is not valid.
+    /// Returns the identity of the owner of a token; `None` if the token is not valid.
     pub fn who(&self, token: &str) -> Option<Identity> {
         match &self.proofs {
             None => Some(Identity::without_token()),
@@ -166,7 +167,7 @@ impl Access {
         self
     }
 
-    /// Returns the origins whose pages may embed the viewer in a frame, in addition to its own.
+    /// Returns the origins whose pages may embed the viewer in a frame, in addition to the server's own.
     pub fn frame_origins(&self) -> impl Iterator<Item = &AllowedOrigin> {
         self.origins.iter().chain(&*self.frames)
     }

@@ -1,5 +1,5 @@
-//! Named tokens: users whom an administrator has given access, with their roles and an expiry. They are in a file of the state folder,
-//! which holds only hashes of their secrets. `isopeel token` changes the file, and a running server reloads it.
+//! Named tokens, by which an administrator gives users access. A token has a user, roles and an expiry. A file in the state folder stores
+//! the tokens, with hashes of their secrets only. `isopeel token` changes the file, and a running server reloads it.
 
 use std::collections::HashMap;
 use std::fs::{File, Metadata, OpenOptions};
@@ -14,16 +14,17 @@ use serde::{Deserialize, Serialize};
 use tempfile::NamedTempFile;
 
 const FILE: &str = "tokens.json";
-/// Lock file, held while the token file is changed.
+/// Name of the lock file. A process that changes the token file holds the lock.
 const LOCK: &str = "tokens.lock";
-/// Version of the file.
+/// Version of the file format.
 const VERSION: u32 = 1;
-/// Maximum tokens: some 400 bytes each, and looked up by their ids.
+/// Maximum number of tokens, some 400 bytes each, so that a file of [`MAX_FILE_BYTES`] can hold them.
 const MAX_TOKENS: usize = 1_000;
 /// Maximum bytes of the file.
 const MAX_FILE_BYTES: u64 = 1 << 20;
 /// Maximum characters of a user's name.
 const MAX_USER: usize = 64;
+
 /// A token, without its secret.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -38,14 +39,14 @@ pub struct NamedToken {
     pub(super) sha256: Hash,
     /// SHA-256 of the cookie that stands for the token.
     pub(super) cookie: Hash,
-    /// Time at which it was created, in seconds of Unix time.
+    /// Time of creation in seconds of Unix time.
     pub created: u64,
-    /// Time at which it expires, in seconds of Unix time; `None`: never.
+    /// Expiry in seconds of Unix time; `None`: never.
     pub expires: Option<u64>,
 }
 
 impl NamedToken {
-    /// Whether it has expired at `now`, in seconds of Unix time.
+    /// Whether the token has expired at `now`, in seconds of Unix time.
     pub fn has_expired(&self, now: u64) -> bool {
         self.expires.is_some_and(|expires| expires <= now)
     }
@@ -58,7 +59,7 @@ pub struct NewToken {
     pub user: String,
     /// Roles of the token.
     pub roles: Roles,
-    /// Time until it expires; `None`: never.
+    /// Time until the token expires; `None`: never.
     pub lifetime: Option<Duration>,
 }
 
@@ -69,23 +70,23 @@ pub enum TokenFileError {
     /// The file cannot be read or written.
     #[error("tokens {}", path.display())]
     Io {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// Why not.
+        /// Error of the system.
         source: io::Error,
     },
-    /// The file's content is invalid, or another version of the program has written it.
+    /// The content of the file is invalid, or another version of the program has written it.
     #[error("tokens {}: {why}, expected what `isopeel token` has written", path.display())]
     Malformed {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// What is wrong with the file's content.
+        /// What is wrong with the content.
         why: String,
     },
-    /// Other users of the machine can write the file, and could so give themselves access.
+    /// Other users of the machine can write to the file, and so could give themselves access.
     #[error("tokens {} may be written by other users, expected its owner alone: chmod 600", .0.display())]
     Writable(PathBuf),
-    /// A user's name is not valid.
+    /// The name of the user is not valid.
     #[error("user {0:?}, expected 1 to {MAX_USER} letters, digits and signs of . _ @ -")]
     User(String),
     /// The token would have no role.
@@ -94,10 +95,10 @@ pub enum TokenFileError {
     /// The file has the maximum number of tokens.
     #[error("there are {MAX_TOKENS} tokens, as many as may be: revoke some")]
     TooMany,
-    /// There is no such token.
+    /// The file has no such token.
     #[error("no token has the id {0:?}, `isopeel token list` has all")]
     Unknown(String),
-    /// There are no random numbers.
+    /// The system has no random numbers.
     #[error(transparent)]
     Random(#[from] TokenError),
 }
@@ -109,7 +110,7 @@ struct Contents {
     tokens: Vec<NamedToken>,
 }
 
-/// The tokens of a file.
+/// All tokens of a file, by their ids.
 #[derive(Debug, Default)]
 pub struct NamedTokens(HashMap<String, Arc<NamedToken>>);
 
@@ -133,7 +134,7 @@ pub struct TokenFile {
 }
 
 impl TokenFile {
-    /// Returns the token file of a folder that only its user may access.
+    /// Returns the token file of a state folder.
     pub fn in_folder(folder: &Path) -> Self {
         Self {
             folder: folder.to_owned(),
@@ -144,7 +145,7 @@ impl TokenFile {
     /// Returns all tokens, in the order in which they were created.
     ///
     /// # Errors
-    /// [`TokenFileError`]. A missing file is no error: it has no tokens.
+    /// [`TokenFileError`]. A missing file is not an error, but an empty list.
     pub fn list(&self) -> Result<Vec<NamedToken>, TokenFileError> {
         let mut text = String::new();
         let file = match File::open(&self.path) {
@@ -172,7 +173,7 @@ impl TokenFile {
         ))
     }
 
-    /// Creates a token and returns it. The file stores only its hash.
+    /// Creates a token, and stores its hash in the file. Returns the token and its entry in the file.
     ///
     /// # Errors
     /// [`TokenFileError`].
@@ -186,7 +187,7 @@ impl TokenFile {
         }
         let token = Token::random()?;
         let created = now();
-        let made = NamedToken {
+        let entry = NamedToken {
             id: token.id().unwrap_or_default().to_owned(),
             user: new.user,
             roles: new.roles,
@@ -195,15 +196,15 @@ impl TokenFile {
             created,
             expires: new.lifetime.map(|lifetime| created.saturating_add(lifetime.as_secs())),
         };
-        let kept = made.clone();
+        let stored = entry.clone();
         self.change(|tokens| {
             if tokens.len() >= MAX_TOKENS {
                 return Err(TokenFileError::TooMany);
             }
-            tokens.push(kept);
+            tokens.push(stored);
             Ok(())
         })?;
-        Ok((token, made))
+        Ok((token, entry))
     }
 
     /// Removes a token.
@@ -212,13 +213,13 @@ impl TokenFile {
     /// [`TokenFileError`].
     pub fn revoke(&self, id: &str) -> Result<NamedToken, TokenFileError> {
         self.change(|tokens| {
-            let found = tokens.iter().position(|token| token.id == id);
-            let found = found.ok_or_else(|| TokenFileError::Unknown(id.to_owned()))?;
-            Ok(tokens.remove(found))
+            let index = tokens.iter().position(|token| token.id == id);
+            let index = index.ok_or_else(|| TokenFileError::Unknown(id.to_owned()))?;
+            Ok(tokens.remove(index))
         })
     }
 
-    /// Changes the file, one process at a time. The change is atomic for readers.
+    /// Changes the file while no other process changes it. Readers see the old or the new file, never a part of it.
     fn change<T>(
         &self,
         change: impl FnOnce(&mut Vec<NamedToken>) -> Result<T, TokenFileError>,
@@ -240,7 +241,7 @@ impl TokenFile {
     }
 
     fn replace(&self, text: &[u8]) -> io::Result<()> {
-        // Temporary files are readable for their user alone.
+        // A temporary file is readable for its user alone.
         let mut file = NamedTempFile::new_in(&self.folder)?;
         file.write_all(text)?;
         file.as_file().sync_all()?;
@@ -251,14 +252,14 @@ impl TokenFile {
         Ok(())
     }
 
-    /// Identifies the version of the file, which is replaced as a whole by each change.
+    /// Returns modification time, length and inode of the file. Each change replaces the file, and so changes these values.
     pub(super) fn version(&self) -> Option<(SystemTime, u64, u64)> {
-        let found = std::fs::metadata(&self.path).ok()?;
+        let metadata = std::fs::metadata(&self.path).ok()?;
         #[cfg(unix)]
-        let inode = std::os::unix::fs::MetadataExt::ino(&found);
+        let inode = std::os::unix::fs::MetadataExt::ino(&metadata);
         #[cfg(not(unix))]
         let inode = 0;
-        Some((found.modified().ok()?, found.len(), inode))
+        Some((metadata.modified().ok()?, metadata.len(), inode))
     }
 
     #[cfg(unix)]
@@ -290,7 +291,7 @@ impl TokenFile {
     }
 }
 
-/// Seconds since 1970.
+/// Returns the current Unix time in seconds.
 pub(super) fn now() -> u64 {
     SystemTime::now()
         .duration_since(UNIX_EPOCH)

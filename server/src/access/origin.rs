@@ -1,5 +1,5 @@
-//! Which pages may open a stream. Browsers let any page open a WebSocket to any server, local ones included, and send the page's
-//! origin; only this check keeps foreign pages from using a server that listens locally.
+//! Origins whose pages may use the server. Browsers let any page open a WebSocket to any server, and state the origin of the page. Without
+//! this check, any page could use a server on the same machine.
 
 use std::str::FromStr;
 
@@ -8,7 +8,7 @@ use axum::http::{HeaderValue, Uri};
 
 use super::Access;
 
-/// An origin other than the server's own whose pages may use it: `https://viewer.example`, as browsers send it.
+/// An origin whose pages may use the server, in addition to the server's own: `https://viewer.example`, as browsers send it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct AllowedOrigin(HeaderValue);
 
@@ -18,10 +18,10 @@ impl FromStr for AllowedOrigin {
     fn from_str(text: &str) -> Result<Self, String> {
         let refuse = || format!("{text:?}, expected scheme://host[:port], such as https://viewer.example");
         let uri: Uri = text.parse().map_err(|_| refuse())?;
-        // The path of a parsed URI is never empty.
-        let bare = !text.ends_with('/') && uri.path_and_query().is_none_or(|path| path == "/");
+        // `Uri` parses an empty path as `/`, so the text is checked too.
+        let has_no_path = !text.ends_with('/') && uri.path_and_query().is_none_or(|path| path == "/");
         match (uri.scheme_str(), uri.authority()) {
-            (Some("http" | "https"), Some(authority)) if bare && !authority.as_str().contains('@') => {
+            (Some("http" | "https"), Some(authority)) if has_no_path && !authority.as_str().contains('@') => {
                 HeaderValue::from_str(&text.to_ascii_lowercase())
                     .map(Self)
                     .map_err(|_| refuse())
@@ -45,13 +45,13 @@ impl AllowedOrigin {
     }
 }
 
-/// Checks that a request comes from the server's own page, from an allowed one, or from no page at all. Call it only after `host` has
-/// accepted the `Host` header.
+/// Checks that a request comes from a page of the server, from a page of an allowed origin, or from no page. Call this only after `host`
+/// has accepted the header `Host`.
 ///
 /// # Errors
-/// The origin that is not allowed.
+/// The origin, if it is not allowed.
 pub(super) fn check(headers: &HeaderMap, access: &Access) -> Result<(), String> {
-    // Only browsers send an origin.
+    // Clients other than browsers send no origin.
     let Some(origin) = headers.get(ORIGIN) else {
         return Ok(());
     };
@@ -62,14 +62,14 @@ pub(super) fn check(headers: &HeaderMap, access: &Access) -> Result<(), String> 
     Err(String::from_utf8_lossy(origin.as_bytes()).into_owned())
 }
 
-/// Whether an origin is that of the server's own page: the host that the request is for, or one of `--public-url`.
+/// Whether an origin is the server's own: the host of the request, or an origin of `--public-url`.
 fn is_own(origin: &HeaderValue, headers: &HeaderMap, access: &Access) -> bool {
-    let of_host = || Some(authority(origin.to_str().ok()?)? == headers.get(HOST)?.to_str().ok()?.to_ascii_lowercase());
+    let is_host = || Some(authority(origin.to_str().ok()?)? == headers.get(HOST)?.to_str().ok()?.to_ascii_lowercase());
     let mut public = access.public_origins.iter();
-    public.any(|AllowedOrigin(public)| public == origin) || of_host() == Some(true)
+    public.any(|AllowedOrigin(public)| public == origin) || is_host() == Some(true)
 }
 
-/// Returns host and port of an origin, in the form of `Host`. The scheme is ignored, because a proxy may add TLS.
+/// Returns host and port of an origin as in the header `Host`. Ignores the scheme, because a proxy may add TLS.
 fn authority(origin: &str) -> Option<String> {
     let (_, authority) = origin.split_once("://")?;
     Some(authority.to_ascii_lowercase())

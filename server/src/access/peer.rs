@@ -1,4 +1,4 @@
-//! The address that a request comes from: the other end of its connection, or the address that a trusted proxy states.
+//! The address of a client: the other end of its connection, or the address that a trusted proxy states.
 
 use std::net::{IpAddr, Ipv6Addr};
 use std::str::FromStr;
@@ -8,12 +8,12 @@ use axum::http::header::{FORWARDED, HeaderMap};
 
 const FORWARDED_FOR: HeaderName = HeaderName::from_static("x-forwarded-for");
 
-/// Address of the other end of a request's connection, which is an extension of the request.
+/// Extension of a request: the address of the other end of its connection.
 #[derive(Clone, Copy, Debug)]
 pub struct PeerAddress(pub IpAddr);
 
-/// Returns the key by which requests and connections of an address are counted. An IPv6 address counts as its network, because a client
-/// usually has the whole network.
+/// Returns the key for counting requests and connections of an address. The key of an IPv6 address is its /64 network, because a client
+/// usually has a whole /64.
 pub fn counted_as(address: IpAddr) -> IpAddr {
     match address.to_canonical() {
         IpAddr::V6(address) => IpAddr::V6(Ipv6Addr::from_bits(address.to_bits() >> 64 << 64)),
@@ -21,7 +21,7 @@ pub fn counted_as(address: IpAddr) -> IpAddr {
     }
 }
 
-/// Addresses of proxies that are trusted to state the address a request comes from: one, `10.0.0.7`, or a network, `10.0.0.0/8`.
+/// A proxy that is trusted to state the addresses of its clients: an address, `10.0.0.7`, or a network, `10.0.0.0/8`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TrustedProxy {
     network: IpAddr,
@@ -38,9 +38,9 @@ impl FromStr for TrustedProxy {
             None => (text, None),
         };
         let network: IpAddr = address.parse().map_err(|_| refuse())?;
-        let all = if network.is_ipv4() { 32 } else { 128 };
-        let bits = bits.unwrap_or(all);
-        if bits > all {
+        let address_bits = if network.is_ipv4() { 32 } else { 128 };
+        let bits = bits.unwrap_or(address_bits);
+        if bits > address_bits {
             return Err(refuse());
         }
         Ok(Self { network, bits })
@@ -48,7 +48,7 @@ impl FromStr for TrustedProxy {
 }
 
 impl TrustedProxy {
-    fn has(&self, address: IpAddr) -> bool {
+    fn contains(&self, address: IpAddr) -> bool {
         match (self.network, address) {
             (IpAddr::V4(network), IpAddr::V4(address)) => {
                 let differing = network.to_bits() ^ address.to_bits();
@@ -63,23 +63,24 @@ impl TrustedProxy {
     }
 }
 
-/// Whether one of these proxies has this address.
+/// Whether an address is that of a trusted proxy.
 pub fn is_trusted(proxies: &[TrustedProxy], address: IpAddr) -> bool {
     let address = address.to_canonical();
-    proxies.iter().any(|proxy| proxy.has(address))
+    proxies.iter().any(|proxy| proxy.contains(address))
 }
 
-/// Finds the client's address for a request that arrived on a connection of `peer`. Each proxy appends the address that sent it the
-/// request. So the list is read from its end: the first address that is not a trusted proxy's is the client's. The client may have forged
-/// the addresses before it.
+/// Returns the address of the client for a request that arrived on a connection of `peer`.
+///
+/// Each proxy appends to a header the address from which it has received the request. So this function reads the list from its end: the
+/// first address that is not a trusted proxy is the client. The client may have forged all addresses before that.
 pub(super) fn client(peer: IpAddr, headers: &HeaderMap, proxies: &[TrustedProxy]) -> IpAddr {
     let mut client = peer.to_canonical();
     if !is_trusted(proxies, client) {
         return client;
     }
-    for said in forwarded(headers).into_iter().rev() {
-        // If an entry cannot be parsed, the last known address is that of the trusted proxy that appended it.
-        let Some(address) = said else { break };
+    for entry in forwarded(headers).into_iter().rev() {
+        // If an entry cannot be parsed, the client counts as the trusted proxy that has appended the entry.
+        let Some(address) = entry else { break };
         client = address.to_canonical();
         if !is_trusted(proxies, client) {
             break;
@@ -88,7 +89,7 @@ pub(super) fn client(peer: IpAddr, headers: &HeaderMap, proxies: &[TrustedProxy]
     client
 }
 
-/// Returns all addresses that proxies have appended, from `X-Forwarded-For` or, if there is none, from `Forwarded` (RFC 7239). `None`
+/// Returns all addresses that proxies have appended to `X-Forwarded-For` or, if this header is missing, to `Forwarded` (RFC 7239). `None`
 /// stands for an entry that cannot be parsed.
 fn forwarded(headers: &HeaderMap) -> Vec<Option<IpAddr>> {
     let values = |name: HeaderName| {
@@ -107,7 +108,7 @@ fn forwarded(headers: &HeaderMap) -> Vec<Option<IpAddr>> {
     standard.collect()
 }
 
-/// Parses an address, perhaps with a port. An IPv6 address with a port is in brackets.
+/// Parses an address with an optional port. An IPv6 address with a port is in brackets.
 fn address(text: &str) -> Option<IpAddr> {
     let text = text.trim();
     if let Ok(address) = text.parse() {

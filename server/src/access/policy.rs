@@ -4,13 +4,13 @@ use axum::http::HeaderValue;
 
 use super::{Access, AllowedOrigin};
 
-/// Policy of the page. It loads scripts, workers and styles only from the server, and sends requests only to it. The decoder of chunks
-/// needs WebAssembly, and the page creates pictures itself. It embeds nothing, sends no forms, and sets no base for addresses.
+/// Policy of the page. It loads scripts, workers and styles only from the server, and sends requests only to the server. `wasm-unsafe-eval`
+/// is for the decoder of chunks; `blob:` and `data:` are for pictures that the page creates. The page embeds no other pages, sends no
+/// forms, and has no `base` element.
 const CONTENT: &str = "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; worker-src 'self'; style-src 'self'; img-src 'self' blob: data:; \
     connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'self'";
 
-/// Returns the `Content-Security-Policy` of all answers. Pages that may use the server may embed it in a frame, and so may those of
-/// `--embed-origin`.
+/// Returns the `Content-Security-Policy` of all responses. Pages of `--allow-origin` and `--embed-origin` may embed the viewer in a frame.
 pub fn content_security_policy(access: &Access) -> HeaderValue {
     let origins = access.frame_origins().map(AllowedOrigin::header);
     let mut policy = CONTENT.as_bytes().to_vec();
@@ -18,7 +18,7 @@ pub fn content_security_policy(access: &Access) -> HeaderValue {
         policy.push(b' ');
         policy.extend(origin.as_bytes());
     }
-    // Cannot fail: origins are valid header values, and so is the text between them.
+    // Cannot fail: origins are valid header values, and so is the rest of the text.
     HeaderValue::from_bytes(&policy).unwrap_or(HeaderValue::from_static(CONTENT))
 }
 

@@ -12,32 +12,34 @@ use super::named::{NamedToken, NamedTokens, now};
 use super::signed_in::Sessions;
 use super::token::{Hash, Token, cookie_value, id_of};
 
-/// Prefix of a session's secret in a cookie; a dot follows it. It cannot be the id of a token, because these are hexadecimal.
+/// Prefix of a session's secret in a cookie, followed by a dot. It differs from all ids of tokens, because these are hexadecimal.
 const SIGNED_IN: &str = "oidc";
 
 /// How a request has authenticated its sender.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Proof {
-    /// A token in a header. No page of another origin can make a browser send this header.
+    /// A token in a header. Pages of other origins cannot make a browser send this header.
     Header,
     /// The cookie, which a browser sends with every request.
     Cookie,
-    /// A ticket for a stream, from the page that opens it.
+    /// A ticket in the address of a stream.
     Ticket,
 }
 
-/// Checks tokens and cookies; keeps only their hashes.
+/// Checks tokens and cookies, of which it stores only hashes.
 #[derive(Clone, Debug)]
 pub(super) struct Proofs {
+    /// Hash of the start token.
     token: Hash,
+    /// Hash of the cookie for the start token.
     cookie: Hash,
+    /// Identity of the owner of the start token.
     start: Identity,
     /// Tokens of a state folder.
     named: Option<watch::Receiver<Arc<NamedTokens>>>,
     /// Sessions of users who have signed in through an issuer.
     sessions: Sessions,
-    /// Delegated tokens.
-    lent: DelegatedTokens,
+    delegated: DelegatedTokens,
 }
 
 impl Proofs {
@@ -48,18 +50,18 @@ impl Proofs {
             start: Identity::of_start("start"),
             named: None,
             sessions: Sessions::default(),
-            lent: DelegatedTokens::default(),
+            delegated: DelegatedTokens::default(),
         }
     }
 
-    /// Sessions of signed-in users.
+    /// Returns the sessions of signed-in users.
     pub(super) fn sessions(&self) -> &Sessions {
         &self.sessions
     }
 
     /// Returns the delegated tokens.
-    pub(super) fn lent(&self) -> &DelegatedTokens {
-        &self.lent
+    pub(super) fn delegated(&self) -> &DelegatedTokens {
+        &self.delegated
     }
 
     pub(super) fn add_named(&mut self, named: watch::Receiver<Arc<NamedTokens>>) {
@@ -73,10 +75,10 @@ impl Proofs {
         }
         let id = id_of(token)?;
         let named = self.of_named(id, |named| named.sha256.is_of(token));
-        named.or_else(|| self.lent.find(id, token).map(Identity::of_lent))
+        named.or_else(|| self.delegated.find(id, token).map(Identity::of_delegated))
     }
 
-    /// Returns the identity that a cookie's value stands for; `None` if it is not valid.
+    /// Returns the identity that the value of a cookie stands for; `None` if the value is not valid.
     fn of_cookie(&self, value: &str) -> Option<Identity> {
         match value.split_once('.') {
             None => self.cookie.is_of(value).then(|| self.start.clone()),
@@ -85,37 +87,38 @@ impl Proofs {
         }
     }
 
-    fn of_named(&self, id: &str, is_right: impl FnOnce(&NamedToken) -> bool) -> Option<Identity> {
+    /// Returns the identity of the owner of a named token, if the token has not expired and its secret `is_correct`.
+    fn of_named(&self, id: &str, is_correct: impl FnOnce(&NamedToken) -> bool) -> Option<Identity> {
         let tokens = self.named.as_ref()?;
-        let found = Arc::clone(tokens.borrow().get(id)?);
-        (is_right(&found) && !found.has_expired(now())).then(|| Identity::of_named(found, tokens.clone()))
+        let token = Arc::clone(tokens.borrow().get(id)?);
+        (is_correct(&token) && !token.has_expired(now())).then(|| Identity::of_named(token, tokens.clone()))
     }
 
-    /// Returns how a request authenticates, and its sender; `None` if it does not authenticate.
+    /// Returns how a request authenticates its sender, and the sender; `None` if the request has no valid proof.
     pub(super) fn find(&self, headers: &HeaderMap, cookie: &CookieName) -> Option<(Proof, Identity)> {
         let bearer = headers.get(AUTHORIZATION).and_then(|value| value.to_str().ok());
         let bearer = bearer.and_then(|value| {
             let (scheme, token) = value.split_once(' ')?;
             scheme.eq_ignore_ascii_case("bearer").then_some(token.trim())
         });
-        if let Some(found) = bearer.and_then(|token| self.of_token(token)) {
-            return Some((Proof::Header, found));
+        if let Some(who) = bearer.and_then(|token| self.of_token(token)) {
+            return Some((Proof::Header, who));
         }
         cookies(headers, &cookie.name)
             .find_map(|value| self.of_cookie(value))
-            .map(|found| (Proof::Cookie, found))
+            .map(|who| (Proof::Cookie, who))
     }
 }
 
-/// Returns the values of all cookies of this name.
+/// Returns the values of all cookies with this name.
 fn cookies<'a>(headers: &'a HeaderMap, name: &'a str) -> impl Iterator<Item = &'a str> {
     let values = headers.get_all(COOKIE).iter().filter_map(|value| value.to_str().ok());
     let pairs = values.flat_map(|value| value.split(';'));
     let pairs = pairs.filter_map(|pair| pair.trim().split_once('='));
-    pairs.filter_map(move |(found, value)| (found == name).then_some(value))
+    pairs.filter_map(move |(other, value)| (other == name).then_some(value))
 }
 
-/// The name of a server's cookies.
+/// Name and attributes of the cookies of a server.
 #[derive(Clone, Debug)]
 pub(super) struct CookieName {
     name: Arc<str>,
@@ -124,7 +127,8 @@ pub(super) struct CookieName {
 }
 
 impl CookieName {
-    /// `port` distinguishes the cookies of several servers on one host. `is_https`: whether browsers reach the server by HTTPS.
+    /// Returns the name for a server. `port` distinguishes several servers on one host, because cookies are shared by all ports. `is_https`
+    /// is whether browsers reach the server by HTTPS.
     pub(super) fn new(port: u16, is_https: bool) -> Self {
         let prefix = if is_https { "__Host-" } else { "" };
         Self {
@@ -134,7 +138,7 @@ impl CookieName {
         }
     }
 
-    /// Returns the name for the same server with TLS.
+    /// Returns the name for the same server if it encrypts connections itself.
     pub(super) fn by_tls(&self) -> Self {
         Self::new(self.port, true)
     }
@@ -142,7 +146,7 @@ impl CookieName {
     /// Returns the header that sets the cookie which stands for a token.
     pub(super) fn of(&self, token: &str, who: &Identity) -> HeaderValue {
         let value = cookie_value(token);
-        // The id selects the hash that the cookie is compared with.
+        // The value of a named token begins with its id, by which the server finds the hash of the cookie.
         let value = match who.is_named() {
             true => format!("{}.{value}", who.token()),
             false => value,
@@ -160,29 +164,30 @@ impl CookieName {
         self.header(&self.name, "", "; Max-Age=0")
     }
 
-    /// Returns the secret of a page's session.
+    /// Returns the secret of the session from the cookies of a request.
     pub(super) fn session<'a>(&'a self, headers: &'a HeaderMap) -> Option<&'a str> {
         cookies(headers, &self.name).find_map(|value| value.strip_prefix(SIGNED_IN)?.strip_prefix('.'))
     }
 
-    /// The header that stores the secret of a sign-in in the user's browser for `seconds`.
-    pub(super) fn of_trip(&self, secret: &str, seconds: u64) -> HeaderValue {
-        self.header(&self.trip(), secret, &format!("; Max-Age={seconds}"))
+    /// Returns the header that sets the cookie of a sign-in in progress, which the browser stores for `seconds`.
+    pub(super) fn of_sign_in(&self, secret: &str, seconds: u64) -> HeaderValue {
+        self.header(&self.sign_in_name(), secret, &format!("; Max-Age={seconds}"))
     }
 
-    /// The secret of a sign-in, from the browser's cookie.
-    pub(super) fn trip_secret(&self, headers: &HeaderMap) -> Option<String> {
-        cookies(headers, &self.trip()).next().map(str::to_owned)
+    /// Returns the secret of a sign-in in progress from the cookies of a request.
+    pub(super) fn sign_in_secret(&self, headers: &HeaderMap) -> Option<String> {
+        cookies(headers, &self.sign_in_name()).next().map(str::to_owned)
     }
 
-    fn trip(&self) -> String {
+    /// Returns the name of the cookie of a sign-in in progress.
+    fn sign_in_name(&self) -> String {
         format!("{}-oidc", self.name)
     }
 
     fn header(&self, name: &str, value: &str, age: &str) -> HeaderValue {
         let secure = if self.is_https { "; Secure" } else { "" };
         let cookie = format!("{name}={value}; Path=/; HttpOnly; SameSite=Lax{age}{secure}");
-        // Cannot fail: the cookie consists of letters, digits and signs of base64.
+        // Cannot fail: all characters of the cookie are valid in a header.
         HeaderValue::try_from(cookie).unwrap_or(HeaderValue::from_static(""))
     }
 }

@@ -12,7 +12,7 @@ use governor::{DefaultKeyedRateLimiter, InsufficientCapacity, Quota, RateLimiter
 
 use super::peer::counted_as;
 
-/// Requests a second, in units of the cheapest request; 0: no limit.
+/// Rate limits: cost of requests per second, where the cheapest request costs 1. 0 means no limit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Rates {
     /// Limit of a peer.
@@ -22,8 +22,8 @@ pub struct Rates {
 }
 
 impl Default for Rates {
-    /// The defaults allow a viewer that drags three planes through a volume at 60 Hz and requests 180 slices a second. A peer may be a
-    /// proxy, or an office behind a router.
+    /// The defaults allow a viewer that drags three planes through a volume at 60 Hz, which requests 180 slices per second. The limit of a
+    /// peer is higher, because a peer may be a proxy, or a router of an office.
     fn default() -> Self {
         Self {
             peer: 2_000,
@@ -32,10 +32,10 @@ impl Default for Rates {
     }
 }
 
-/// Burst, in seconds of the rate, so large that a thousand viewers may reconnect after a restart of the server.
+/// Burst, in seconds of the rate. Large enough that a thousand viewers can reconnect after a restart of the server.
 const BURST_SECONDS: u32 = 10;
 
-/// Cost of a request without a token or with a wrong one: at the default rate a peer may try 20 a second.
+/// Cost of a request with a missing or wrong token. At the default rate, a peer has 20 attempts per second.
 const REFUSED_COST: u32 = 100;
 
 /// Returns the cost of a request.
@@ -49,26 +49,27 @@ pub(super) fn cost(method: &Method, path: &str) -> u32 {
         ["oidc", _] => 10,
         // Checks names and free space, or reads the headers of all files.
         ["uploads"] | ["uploads", _, "finish"] if *method == Method::POST => 10,
-        // Takes tasks, buffers and a seat for a viewer.
+        // Occupies tasks, buffers and a seat.
         ["stream"] => 5,
         _ => 1,
     }
 }
 
-/// Number of keys, some 50 bytes each, above which keys that have regained their whole burst are dropped. Keys that were used within the
-/// last ten seconds may stay.
+/// Number of keys, some 50 bytes each, above which keys with their full burst are dropped. Keys that were used within [`BURST_SECONDS`] may
+/// stay.
 const MANY_KEYS: usize = 4_096;
 
-/// Requests between two checks of the number of keys.
-const LOOK_EVERY: usize = 1_024;
+/// Number of requests between two checks of the number of keys.
+const CHECK_EVERY: usize = 1_024;
 
-/// The rate limit of each key. Clones share the counts.
+/// The rate limit of each key; `None`: no limit. Clones share the counts.
 #[derive(Clone, Debug)]
 struct Limit<K: Clone + std::hash::Hash + Eq>(Option<Arc<Counts<K>>>);
 
 #[derive(Debug)]
 struct Counts<K: Clone + std::hash::Hash + Eq> {
     limiter: DefaultKeyedRateLimiter<K>,
+    /// Number of requests so far.
     checks: AtomicUsize,
 }
 
@@ -84,20 +85,25 @@ impl<K: Clone + std::hash::Hash + Eq> Limit<K> {
     }
 
     /// Charges the cost of a request. The error is the time after which to try again.
-    fn take(&self, key: &K, cost: u32) -> Result<(), Duration> {
+    fn charge(&self, key: &K, cost: u32) -> Result<(), Duration> {
         let (Some(counts), Some(cost)) = (&self.0, NonZeroU32::new(cost)) else {
             return Ok(());
         };
         let limiter = &counts.limiter;
-        if counts.checks.fetch_add(1, Ordering::Relaxed).is_multiple_of(LOOK_EVERY) && limiter.len() > MANY_KEYS {
+        if counts
+            .checks
+            .fetch_add(1, Ordering::Relaxed)
+            .is_multiple_of(CHECK_EVERY)
+            && limiter.len() > MANY_KEYS
+        {
             limiter.retain_recent();
             limiter.shrink_to_fit();
         }
         match limiter.check_key_n(key, cost) {
             Ok(Ok(())) => Ok(()),
             Ok(Err(later)) => Err(later.wait_time_from(DefaultClock::default().now())),
-            // At a very low rate the cost exceeds the whole burst. The request takes all of it.
-            Err(InsufficientCapacity(burst)) => self.take(key, burst),
+            // At a very low rate, the cost exceeds the whole burst. Then the request costs the whole burst.
+            Err(InsufficientCapacity(burst)) => self.charge(key, burst),
         }
     }
 }
@@ -122,18 +128,18 @@ impl RateLimits {
 
     /// Charges the cost of a request to its peer. The error is the time after which to try again.
     pub(super) fn charge_peer(&self, peer: IpAddr, cost: u32) -> Result<(), Duration> {
-        self.peers.take(&counted_as(peer), cost)
+        self.peers.charge(&counted_as(peer), cost)
     }
 
-    /// Charges the cost of a wrong token to its peer. This limit is separate from that of other requests, so that users with valid tokens
-    /// at the same address are not affected. The error is the time after which to try again.
+    /// Charges the cost of a missing or wrong token to its peer. This limit is separate from the limit of other requests, so that it does
+    /// not affect users with valid tokens at the same address. The error is the time after which to try again.
     pub(super) fn charge_unauthenticated(&self, peer: IpAddr) -> Result<(), Duration> {
-        self.unauthenticated.take(&counted_as(peer), REFUSED_COST)
+        self.unauthenticated.charge(&counted_as(peer), REFUSED_COST)
     }
 
     /// Charges the cost of a request to its token. The error is the time after which to try again.
     pub(super) fn charge_token(&self, token: &str, cost: u32) -> Result<(), Duration> {
-        self.tokens.take(&token.into(), cost)
+        self.tokens.charge(&token.into(), cost)
     }
 }
 
@@ -208,11 +214,11 @@ mod tests {
     fn peers_that_have_their_burst_again_are_forgotten() {
         let limit: Limit<u32> = Limit::new(1_000_000);
         for key in 0..3 * MANY_KEYS as u32 {
-            limit.take(&key, 1).expect("one");
+            limit.charge(&key, 1).expect("one");
         }
         std::thread::sleep(Duration::from_millis(5));
-        for _ in 0..LOOK_EVERY {
-            limit.take(&0, 1).expect("one");
+        for _ in 0..CHECK_EVERY {
+            limit.charge(&0, 1).expect("one");
         }
         let counts = limit.0.expect("a limit");
         assert!(counts.limiter.len() <= MANY_KEYS, "{}", counts.limiter.len());

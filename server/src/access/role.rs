@@ -54,18 +54,18 @@ impl FromStr for Role {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let found = Self::ALL.into_iter().find(|role| role.name() == text);
-        found.ok_or_else(|| format!("{text:?}, expected view, edit, export, upload, push or admin"))
+        let role = Self::ALL.into_iter().find(|role| role.name() == text);
+        role.ok_or_else(|| format!("{text:?}, expected view, edit, export, upload, push or admin"))
     }
 }
 
-/// A set of roles: a bit for each, at the position of its discriminant.
+/// A set of roles. The bit of a role is at the position of its discriminant.
 #[derive(Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(from = "Vec<Role>", into = "Vec<Role>")]
 pub struct Roles(u8);
 
 impl Roles {
-    /// All roles: `Admin` includes the others. The user who starts the server has them.
+    /// All roles, because `Admin` includes the others.
     pub const ALL: Self = Self(1 << Role::Admin as u8);
 
     /// Whether the set is empty.
@@ -73,7 +73,7 @@ impl Roles {
         self.0 == 0
     }
 
-    /// Whether these roles include `role`: directly, by `Admin`, which includes all, or by `Edit`, which includes `View`.
+    /// Whether these roles include `role`. `Admin` includes all roles, and `Edit` includes `View`.
     pub fn include(self, role: Role) -> bool {
         let has = |role: Role| self.0 & (1 << role as u8) != 0;
         has(role) || has(Role::Admin) || (role == Role::View && has(Role::Edit))
@@ -109,16 +109,16 @@ impl fmt::Debug for Roles {
 /// The authorization that a request requires.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum RequiredAccess {
-    /// None: the answer contains nothing about volumes.
+    /// No authentication. The response contains nothing about volumes.
     Nothing,
-    /// A token, whatever its roles.
+    /// A token with any roles.
     Token,
     /// One of these roles.
     OneOf(&'static [Role]),
 }
 
-/// Returns the authorization that a request requires. Paths outside of `/api/` are the page and the probes. Paths below `/api/` that are
-/// not listed here need `admin`, so that forgetting to list a route does not open it.
+/// Returns the authorization that a request requires. Paths outside `/api/` are the page, the probes and the metrics. All routes below
+/// `/api/` that are not listed here require `admin`, so that a forgotten route is not public.
 pub(super) fn required_access(method: &Method, path: &str) -> RequiredAccess {
     use Role::{Admin, Export, Upload, View};
     if !path.starts_with("/api/") {
@@ -134,11 +134,11 @@ pub(super) fn required_access(method: &Method, path: &str) -> RequiredAccess {
     let parts: Vec<&str> = route.split('/').collect();
     match parts[..] {
         ["openapi.json"] => RequiredAccess::Nothing,
-        // The origins whose pages may embed the viewer are not secret: a header of each answer has them too.
+        // The origins whose pages may embed the viewer are not secret, because a header of each response lists them too.
         ["embed"] if *method == Method::GET => RequiredAccess::Nothing,
-        // Exchanges a token for a cookie, so the handler checks the token itself.
+        // Exchanges a token for a cookie. The handler checks the token itself.
         ["session"] if *method == Method::POST => RequiredAccess::Nothing,
-        // The sign-in that leads to a session.
+        // A user who signs in has no session yet.
         ["oidc"] | ["oidc", "login" | "callback"] if *method == Method::GET => RequiredAccess::Nothing,
         ["session"] => RequiredAccess::Token,
         ["volumes"] | ["volumes", _] | ["unreadable"] => RequiredAccess::OneOf(&[View, Export]),

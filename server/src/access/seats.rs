@@ -1,5 +1,5 @@
-//! Limits the number of concurrent viewers, groups and event streams (seats). Neither one user nor one address can take all of them, and
-//! some are reserved for administrators.
+//! Limits the number of concurrent viewers, groups and event streams. Each of them occupies a seat. A single user or address cannot occupy
+//! all seats, and some seats are reserved for administrators.
 
 use std::collections::HashMap;
 use std::hash::Hash;
@@ -9,29 +9,29 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use super::Identity;
 use super::role::Role;
 
-/// Maximum numbers of seats.
+/// Limits of one kind of seats.
 #[derive(Clone, Copy, Debug)]
 pub struct SeatLimits {
-    /// Name of the seats, in the plural.
+    /// Name of this kind in the plural, for messages.
     pub what: &'static str,
-    /// Seats of all users, including those reserved for administrators.
+    /// Number of all seats, including the reserve.
     pub all: usize,
-    /// Seats that one user may have at a time; administrators are exempt.
+    /// Maximum number of seats of one user. Administrators are exempt.
     pub of_user: usize,
-    /// Seats that all users of one address may have at a time; administrators are exempt.
+    /// Maximum number of seats of all users at one address. Administrators are exempt.
     pub of_address: usize,
-    /// Seats that are reserved for administrators.
+    /// Number of seats that are reserved for administrators.
     pub reserve: usize,
 }
 
 /// The user of a seat.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Occupant {
-    /// The user.
+    /// Name of the user.
     pub user: Arc<str>,
-    /// Address that the user's requests come from, if it is known; for IPv6 its network.
+    /// Address of the user, if it is known. An IPv6 address is replaced by its /64 network.
     pub address: Option<IpAddr>,
-    /// Whether the user is exempt from the limits of users and addresses.
+    /// Whether the user is an administrator, who is exempt from the limits per user and per address.
     pub is_admin: bool,
 }
 
@@ -45,18 +45,18 @@ impl From<&Identity> for Occupant {
     }
 }
 
-/// The limit that is reached.
+/// A limit of seats.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Share {
-    /// The limit of the user.
+    /// The limit per user.
     User,
-    /// The limit of the address.
+    /// The limit per address.
     Address,
-    /// The limit of all seats except those reserved for administrators; for an administrator, of all seats.
+    /// The limit of all users. It excludes the reserve, unless the user is an administrator.
     All,
 }
 
-/// Why there is no seat.
+/// A seat was refused, because a limit is reached.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
     "{taken} {what} {}, expected fewer than {limit}: end one of them, or try again later",
@@ -80,7 +80,7 @@ struct Shared {
     taken: Mutex<Taken>,
 }
 
-/// Seats that are taken.
+/// Numbers of occupied seats.
 #[derive(Debug, Default)]
 struct Taken {
     total: usize,
@@ -88,7 +88,7 @@ struct Taken {
     by_address: HashMap<IpAddr, usize>,
 }
 
-/// A taken seat. Dropping it frees it.
+/// Guard of an occupied seat. Dropping the guard frees the seat.
 #[derive(Debug)]
 pub struct Seat {
     seats: Seats,
@@ -96,21 +96,21 @@ pub struct Seat {
 }
 
 impl Seats {
-    /// Seats within these limits, all of them free.
+    /// Creates free seats with these limits.
     pub fn new(limits: SeatLimits) -> Self {
         let taken = Mutex::default();
         Self(Arc::new(Shared { limits, taken }))
     }
 
-    /// Returns the number of taken seats.
+    /// Returns the number of occupied seats.
     pub fn taken(&self) -> usize {
         self.lock().total
     }
 
-    /// Takes a seat.
+    /// Occupies a seat.
     ///
     /// # Errors
-    /// All seats are taken, or as many as this user or this address may have.
+    /// The limit of all users, of this user or of this address is reached.
     pub fn take(&self, occupant: Occupant) -> Result<Seat, NoSeat> {
         let mut taken = self.lock();
         taken.admit(&self.0.limits, &occupant)?;
@@ -130,11 +130,12 @@ impl Seats {
 }
 
 impl Taken {
+    /// Checks the limits for a new occupant.
     fn admit(&self, limits: &SeatLimits, occupant: &Occupant) -> Result<(), NoSeat> {
         let all = (Share::All, self.total, limits.all);
         let of_user = self.by_user.get(&occupant.user).copied().unwrap_or_default();
         let of_address = occupant.address.and_then(|address| self.by_address.get(&address));
-        let of_others = [
+        let for_others = [
             (Share::User, of_user, limits.of_user),
             (
                 Share::Address,
@@ -143,7 +144,7 @@ impl Taken {
             ),
             (Share::All, self.total, limits.all - limits.reserve),
         ];
-        let checked = if occupant.is_admin { &[all][..] } else { &of_others };
+        let checked = if occupant.is_admin { &[all][..] } else { &for_others };
         match checked.iter().find(|(_, taken, limit)| taken >= limit) {
             None => Ok(()),
             Some(&(share, taken, limit)) => Err(NoSeat {

@@ -4,32 +4,34 @@ use axum::http::{HeaderMap, HeaderValue};
 
 use super::Access;
 use super::identity::Identity;
-use super::oidc::{Oidc, SESSION_SECONDS, TRIP_LIFETIME, random};
+use super::oidc::{Oidc, SESSION_SECONDS, SIGN_IN_LIFETIME, random};
 use crate::problem::ApiError;
 
 impl Access {
-    /// Returns the issuer through which people sign in.
+    /// Returns the issuer through which users sign in.
     pub fn oidc(&self) -> Option<&Oidc> {
         self.oidc.as_ref()
     }
 
-    /// Begins a sign-in. Returns the issuer's address to which the browser is sent, and a cookie that the browser brings back.
+    /// Begins a sign-in. Returns the address of the issuer to which the browser is redirected, and the header that sets the cookie of the
+    /// sign-in.
     ///
     /// # Errors
-    /// There is no issuer, or it cannot be reached.
+    /// The server has no issuer, or the issuer cannot be reached.
     pub async fn begin_sign_in(&self) -> Result<(String, HeaderValue), ApiError> {
         let oidc = self
             .oidc
             .as_ref()
             .ok_or_else(|| ApiError::not_found("/api/v1/oidc/login"))?;
         let (address, secret) = oidc.begin().await?;
-        Ok((address, self.cookie.of_trip(&secret, TRIP_LIFETIME.as_secs())))
+        Ok((address, self.cookie.of_sign_in(&secret, SIGN_IN_LIFETIME.as_secs())))
     }
 
-    /// Completes a sign-in whose browser has returned from the issuer with a code. Returns the user, and the cookies of the new session.
+    /// Completes a sign-in after the browser has returned from the issuer with a code. Returns the user, and two headers: one sets the
+    /// cookie of the new session, and one removes the cookie of the sign-in.
     ///
     /// # Errors
-    /// There is no issuer, the issuer does not confirm the sign-in, or the user has no role here.
+    /// The server has no issuer, the issuer does not confirm the sign-in, or the user has no role on this server.
     pub async fn end_sign_in(
         &self,
         headers: &HeaderMap,
@@ -39,34 +41,34 @@ impl Access {
         let (Some(oidc), Some(proofs)) = (&self.oidc, &self.proofs) else {
             return Err(ApiError::not_found("/api/v1/oidc/callback"));
         };
-        let secret = self.cookie.trip_secret(headers);
-        let vouched = oidc.end(secret.as_deref(), state, code).await?;
+        let secret = self.cookie.sign_in_secret(headers);
+        let confirmed = oidc.end(secret.as_deref(), state, code).await?;
         let secret = random().map_err(ApiError::internal)?;
         let sessions = proofs.sessions();
-        sessions.begin(&secret, &vouched.user, vouched.roles, SESSION_SECONDS);
+        sessions.begin(&secret, &confirmed.user, confirmed.roles, SESSION_SECONDS);
         let who = sessions.find(&secret).map(Identity::of_signed_in);
         let who = who.ok_or_else(|| ApiError::internal("a session that just began has ended"))?;
-        Ok((who, [self.cookie.of_session(&secret), self.cookie.of_trip("", 0)]))
+        Ok((who, [self.cookie.of_session(&secret), self.cookie.of_sign_in("", 0)]))
     }
 
-    /// Returns the address of the page, with the reason why a sign-in failed.
+    /// Returns the address of the page with the reason of a failed sign-in, which the page shows.
     pub fn sign_in_failed(&self, why: &ApiError) -> String {
         let oidc = self.oidc.as_ref();
         oidc.map_or_else(|| "/".to_owned(), |oidc| oidc.home_with(&why.to_string()))
     }
 
-    /// Ends the session of a page, if it has one. Returns the issuer's address at which the session ends there too, and the header that
-    /// removes the cookie.
+    /// Ends the session of a request's cookie, if there is one. Returns the address at which the user also signs out at the issuer, and the
+    /// header that removes the cookie.
     pub async fn sign_out(&self, headers: &HeaderMap) -> (Option<String>, HeaderValue) {
         let secret = self.cookie.session(headers);
         let has_ended = match (&self.proofs, secret) {
             (Some(proofs), Some(secret)) => proofs.sessions().end(secret),
             _ => false,
         };
-        let elsewhere = match &self.oidc {
+        let issuer_address = match &self.oidc {
             Some(oidc) if has_ended => oidc.sign_out().await,
             _ => None,
         };
-        (elsewhere, self.cookie.gone())
+        (issuer_address, self.cookie.gone())
     }
 }

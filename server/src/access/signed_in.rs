@@ -1,4 +1,4 @@
-//! Sessions of users who have signed in through an issuer. The secret of a session is in a cookie.
+//! Sessions of users who have signed in through an issuer. The browser has the secret of its session in a cookie.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -10,11 +10,11 @@ use tokio_util::sync::CancellationToken;
 use super::named::now;
 use super::role::Roles;
 
-/// Maximum sessions, some 300 bytes each; beyond them the oldest ends.
+/// Maximum number of sessions, some 300 bytes each. A further one ends the oldest.
 const MAX_SESSIONS: usize = 10_000;
-/// Maximum sessions of one user: a browser, a phone, and some that were forgotten.
+/// Maximum number of sessions of one user, on several devices. A further one ends the oldest session of this user.
 const MAX_OF_USER: usize = 16;
-/// Bytes of a session's public name. They are the first ones of the hash of its secret.
+/// Bytes of the public name of a session: the first bytes of the hash of its secret.
 const NAME_BYTES: usize = 6;
 
 /// The session of a signed-in user. Clones are cheap.
@@ -24,8 +24,9 @@ pub(super) struct SignedIn {
     pub roles: Roles,
     /// Public name of the session, for logs. It reveals nothing about the secret.
     pub name: Arc<str>,
-    /// Time at which it expires, in seconds of Unix time.
+    /// Expiry in seconds of Unix time.
     pub expires: u64,
+    /// Cancelled when the user signs out, or when a newer session ends this one.
     pub ended: CancellationToken,
 }
 
@@ -40,7 +41,7 @@ impl SignedIn {
 pub(super) struct Sessions(Arc<Mutex<HashMap<[u8; 32], SignedIn>>>);
 
 impl Sessions {
-    /// Begins a session with this secret. It ends after `seconds`.
+    /// Begins a session with this secret, which expires after `seconds`.
     pub(super) fn begin(&self, secret: &str, user: &str, roles: Roles, seconds: u64) {
         let hash: [u8; 32] = Sha256::digest(secret).into();
         let session = SignedIn {
@@ -53,9 +54,9 @@ impl Sessions {
         let mut sessions = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         sessions.retain(|_, session| session.is_valid());
         let own = sessions.values().filter(|session| *session.user == *user).count();
-        let is_of_user = |session: &SignedIn| own < MAX_OF_USER || *session.user == *user;
+        let may_end = |session: &SignedIn| own < MAX_OF_USER || *session.user == *user;
         if own >= MAX_OF_USER || sessions.len() >= MAX_SESSIONS {
-            let candidates = sessions.iter().filter(|(_, session)| is_of_user(session));
+            let candidates = sessions.iter().filter(|(_, session)| may_end(session));
             let oldest = candidates
                 .min_by_key(|(_, session)| session.expires)
                 .map(|(hash, _)| *hash);
@@ -66,14 +67,14 @@ impl Sessions {
         sessions.insert(hash, session);
     }
 
-    /// Finds the session of a secret, if it is still valid.
+    /// Returns the session of a secret, if it is still valid.
     pub(super) fn find(&self, secret: &str) -> Option<SignedIn> {
         let hash: [u8; 32] = Sha256::digest(secret).into();
         let sessions = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         sessions.get(&hash).filter(|session| session.is_valid()).cloned()
     }
 
-    /// Ends a session and cancels all that runs in it. Returns false if there is no such session.
+    /// Ends a session and its streams. Returns false if there is no such session.
     pub(super) fn end(&self, secret: &str) -> bool {
         let hash: [u8; 32] = Sha256::digest(secret).into();
         let ended = self.0.lock().unwrap_or_else(PoisonError::into_inner).remove(&hash);

@@ -1,5 +1,6 @@
-//! Tickets for the stream. Browsers let pages of other origins send neither a header nor a cookie with a WebSocket, so such a page puts a
-//! ticket in its address. Others may see an address, so a ticket is valid once, for half a minute, and only for the page that requested it.
+//! Tickets for the stream. Browsers let a page of another origin send neither a header nor a cookie with a WebSocket, so such a page puts a
+//! ticket in the address of the stream. Logs may contain addresses, so a ticket is valid only once, for 30 s, and for the origin that has
+//! requested it.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -13,22 +14,22 @@ use sha2::{Digest, Sha256};
 use super::identity::Identity;
 use super::token::TokenError;
 
-/// Lifetime of a ticket: a page opens the stream as soon as it has one.
+/// Lifetime of a ticket. A page opens the stream as soon as it has the ticket.
 pub const LIFETIME: Duration = Duration::from_secs(30);
-/// Maximum tickets, some 200 bytes each.
+/// Maximum number of unused tickets, some 200 bytes each.
 const MAX_TICKETS: usize = 4_096;
-/// Maximum tickets of one token, so that one user cannot use up all of them: a page needs one for each stream. Those without a token share
-/// one such maximum.
+/// Maximum number of unused tickets of one token, so that no user can use up all of them. A page needs one ticket for each stream. On a
+/// server without authentication, all users share this maximum.
 const MAX_OF_TOKEN: usize = 128;
 const RANDOM_BYTES: usize = 32;
 
-/// Why there is no ticket.
+/// Why no ticket was issued.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum TicketError {
-    /// There are too many unused tickets.
+    /// Too many tickets are unused.
     #[error("there are {0} unused tickets, the maximum: try again when they have expired, in {LIFETIME:?}")]
     TooMany(usize),
-    /// There are no random numbers.
+    /// The system has no random numbers.
     #[error(transparent)]
     Random(#[from] TokenError),
 }
@@ -36,8 +37,9 @@ pub(super) enum TicketError {
 #[derive(Debug)]
 struct Ticket {
     who: Identity,
+    /// Origin of the page that may use the ticket; `None`: only a client that is not a page may.
     origin: Option<HeaderValue>,
-    made: Instant,
+    issued: Instant,
 }
 
 /// Unused tickets, by their hashes. Clones share them.
@@ -45,7 +47,7 @@ struct Ticket {
 pub(super) struct Tickets(Arc<Mutex<HashMap<[u8; 32], Ticket>>>);
 
 impl Tickets {
-    /// Issues a ticket that `who` can use from a page of this origin; without an origin, from outside of any page.
+    /// Issues a ticket that `who` can use from a page of this origin; without an origin, from a client that is not a page.
     pub(super) fn issue(
         &self,
         who: &Identity,
@@ -56,7 +58,7 @@ impl Tickets {
         getrandom::fill(&mut bytes).map_err(TokenError::from)?;
         let text = URL_SAFE_NO_PAD.encode(bytes);
         let mut tickets = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        tickets.retain(|_, ticket| now.duration_since(ticket.made) < LIFETIME);
+        tickets.retain(|_, ticket| now.duration_since(ticket.issued) < LIFETIME);
         let of_token = tickets.values().filter(|ticket| ticket.who.token() == who.token());
         let (all, own) = (tickets.len(), of_token.count());
         if own >= MAX_OF_TOKEN {
@@ -68,28 +70,28 @@ impl Tickets {
         let ticket = Ticket {
             who: who.clone(),
             origin: origin.cloned(),
-            made: now,
+            issued: now,
         };
         tickets.insert(Sha256::digest(&text).into(), ticket);
         Ok(text)
     }
 
-    /// Redeems a ticket: returns its owner, if a page of this origin may use it, it has not expired and the owner's token is still valid.
-    /// A ticket of this origin cannot be redeemed again, even if it had expired.
+    /// Redeems a ticket. Returns its owner if the origin matches, the ticket has not expired, and the token of the owner is still valid.
+    /// Removes the ticket if the origin matches.
     pub(super) fn take(&self, text: &str, origin: Option<&HeaderValue>, now: Instant) -> Option<Identity> {
         let hash: [u8; 32] = Sha256::digest(text).into();
         let mut tickets = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        // A page of another origin does not use the ticket up.
+        // A page of another origin must not invalidate the ticket.
         if tickets.get(&hash)?.origin.as_ref() != origin {
             return None;
         }
         let ticket = tickets.remove(&hash)?;
-        let is_young = now.duration_since(ticket.made) < LIFETIME;
-        (is_young && ticket.who.is_valid()).then_some(ticket.who)
+        let is_unexpired = now.duration_since(ticket.issued) < LIFETIME;
+        (is_unexpired && ticket.who.is_valid()).then_some(ticket.who)
     }
 }
 
-/// Returns the first ticket of a query.
+/// Returns the first ticket in the query of an address.
 pub(super) fn in_query(query: &str) -> Option<&str> {
     query.split('&').find_map(|pair| pair.strip_prefix("ticket="))
 }

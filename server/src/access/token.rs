@@ -1,4 +1,5 @@
-//! Tokens, by which people and programs authenticate. Pages exchange them for a cookie, so that no stored or copied address has them.
+//! Tokens, by which users and programs authenticate. A page exchanges the token in its address for a cookie, so that bookmarks and copied
+//! addresses do not contain tokens.
 
 use std::path::Path;
 
@@ -10,26 +11,27 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use sha2::{Digest, Sha256};
 use subtle::ConstantTimeEq;
 
-/// Random bytes of a token that the server makes: too many to guess.
+/// Random bytes of a generated token: 256 bits, which cannot be guessed.
 const RANDOM_BYTES: usize = 32;
 
-/// Random bytes of a token's id, which is not secret. The probability that two of a thousand tokens share an id is 1 in 500 million.
+/// Random bytes of the id of a token. The id is not secret. Two of a thousand tokens have the same id with a probability of 1 in 500
+/// million.
 const ID_BYTES: usize = 6;
 
-/// Prefix of the id.
+/// Prefix of a generated token, before its id.
 const PREFIX: &str = "isop_";
 
 /// Minimum characters of a token from a file; 32 characters of base64 are 192 bits.
 const MIN_LENGTH: usize = 32;
 
-/// Hashed before the token to make the value of its cookie, so that the cookie reveals nothing about the token.
+/// Prefix in the hash that is the value of a cookie, so that this value differs from the stored hash of the token.
 const COOKIE_PREFIX: &[u8] = b"isopeel cookie\0";
 
 /// A token. Its `Debug` output does not contain its text, so that it is never logged.
 #[derive(Clone)]
 pub struct Token(String);
 
-/// Why there is no token.
+/// Why a token cannot be read or generated.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum TokenError {
@@ -53,7 +55,7 @@ impl std::fmt::Debug for Token {
 }
 
 impl Token {
-    /// Makes a token: `isop_`, an id, `_`, and 256 random bits.
+    /// Generates a token: `isop_`, an id, `_`, and 256 random bits.
     ///
     /// # Errors
     /// [`TokenError::Random`].
@@ -65,7 +67,7 @@ impl Token {
         Ok(Self(format!("{PREFIX}{id}_{secret}")))
     }
 
-    /// Reads the token from a file, which has it on its only line.
+    /// Reads the token from a file that contains nothing else.
     ///
     /// # Errors
     /// [`TokenError`].
@@ -74,13 +76,13 @@ impl Token {
         Self::of_text(text.trim()).ok_or_else(|| TokenError::Malformed(path.to_owned()))
     }
 
-    /// Returns the token of a text; `None` if the text is too short or has other characters than visible ASCII.
+    /// Converts a text to a token. Returns `None` if the text is too short or has characters other than visible ASCII.
     pub fn of_text(text: &str) -> Option<Self> {
-        let is_one = text.len() >= MIN_LENGTH && text.bytes().all(|byte| byte.is_ascii_graphic());
-        is_one.then(|| Self(text.to_owned()))
+        let is_valid = text.len() >= MIN_LENGTH && text.bytes().all(|byte| byte.is_ascii_graphic());
+        is_valid.then(|| Self(text.to_owned()))
     }
 
-    /// Returns the text of the token, for an address.
+    /// Returns the secret text of the token.
     pub fn text(&self) -> &str {
         &self.0
     }
@@ -111,7 +113,7 @@ impl Hash {
         Self(Sha256::digest(secret).into())
     }
 
-    /// Whether it is the hash of this secret.
+    /// Whether this is the hash of `secret`.
     pub(super) fn is_of(&self, secret: &str) -> bool {
         *self == Self::of(secret)
     }

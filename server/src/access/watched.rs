@@ -11,7 +11,7 @@ use super::named::{NamedTokens, TokenFile, TokenFileError};
 /// Interval between two checks of the file, so that a revoked token is refused within 5 s.
 const INTERVAL: Duration = Duration::from_secs(2);
 
-/// The tokens of a file, reloaded when the file changes.
+/// The current tokens of a file. [`TokenWatch::run`] reloads them when the file changes.
 #[derive(Debug)]
 pub struct TokenWatch {
     file: TokenFile,
@@ -43,38 +43,38 @@ impl TokenWatch {
     /// Reloads the token file when it changes; never returns. While the file cannot be read, all named tokens are refused, because any of
     /// them may have been revoked.
     pub async fn run(self) {
-        self.look_every(INTERVAL).await;
+        self.check_every(INTERVAL).await;
     }
 
-    pub(super) async fn look_every(self, interval: Duration) {
-        let (mut seen, mut complaint) = (None, String::new());
-        let mut known = Arc::clone(&self.tokens.borrow());
+    pub(super) async fn check_every(self, interval: Duration) {
+        let (mut read_version, mut logged_error) = (None, String::new());
+        let mut last_tokens = Arc::clone(&self.tokens.borrow());
         loop {
             let file = self.file.clone();
-            let looked = tokio::task::spawn_blocking(move || {
+            let check = tokio::task::spawn_blocking(move || {
                 let version = Some(file.version());
-                (version != seen).then(|| (version, file.read()))
+                (version != read_version).then(|| (version, file.read()))
             });
-            match looked.await {
+            match check.await {
                 Ok(Some((version, Ok(tokens)))) => {
-                    (seen, complaint) = (version, String::new());
+                    (read_version, logged_error) = (version, String::new());
                     let tokens = Arc::new(tokens);
-                    self.note(&known, &tokens);
-                    known = Arc::clone(&tokens);
+                    self.log_changes(&last_tokens, &tokens);
+                    last_tokens = Arc::clone(&tokens);
                     self.tokens.send_replace(tokens);
                 }
                 Ok(Some((_, Err(error)))) => {
-                    // Read the file again at the next check: corrected permissions may not change its version.
-                    seen = None;
+                    // Reads the file again at the next check, because corrected permissions may not change its version.
+                    read_version = None;
                     self.tokens.send_replace(Arc::default());
                     let why = crate::error::chain(&error);
-                    if why != complaint {
-                        tracing::error!("nobody is let in by a named token: {why}");
-                        complaint = why;
+                    if why != logged_error {
+                        tracing::error!("all named tokens are refused: {why}");
+                        logged_error = why;
                     }
                 }
                 Ok(None) => {}
-                Err(error) => tracing::error!(%error, "the tokens could not be looked at"),
+                Err(error) => tracing::error!(%error, "the check of the token file panicked"),
             }
             tokio::time::sleep(interval).await;
         }
@@ -83,7 +83,7 @@ impl TokenWatch {
 
 impl TokenWatch {
     /// Logs which tokens have appeared and which were removed.
-    fn note(&self, before: &NamedTokens, now: &NamedTokens) {
+    fn log_changes(&self, before: &NamedTokens, now: &NamedTokens) {
         let Some(audit) = &self.audit else { return };
         before
             .without(now)

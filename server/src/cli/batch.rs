@@ -64,16 +64,16 @@ pub struct Args {
     frame: Frame,
 }
 
-/// Why a batch job is not done.
+/// Why a batch has failed.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum BatchError {
-    /// The request's file cannot be read.
+    /// The request file cannot be read.
     #[error("request {}", path.display())]
     Request {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// Why not.
+        /// Error of the system, or of parsing the JSON.
         source: io::Error,
     },
     /// The volume cannot be read.
@@ -82,18 +82,18 @@ pub enum BatchError {
     /// The state folder cannot be used.
     #[error(transparent)]
     StateFolder(#[from] StateFolderError),
-    /// The job's store cannot be opened.
+    /// The job store cannot be opened.
     #[error(transparent)]
     Open(#[from] OpenError),
-    /// The job is not accepted.
+    /// A request to the job store has failed.
     #[error(transparent)]
     Job(#[from] JobError),
-    /// A surface cannot be put into its folder.
+    /// A file in the output folder cannot be written.
     #[error("output {}", path.display())]
     Output {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// Why not.
+        /// Error of the system.
         source: io::Error,
     },
     /// Some surfaces were not made.
@@ -102,39 +102,39 @@ pub enum BatchError {
     /// The device cannot be used.
     #[error(transparent)]
     Device(#[from] WorkError),
-    /// The transfer function's file cannot be read.
+    /// The file of the transfer function cannot be read.
     #[error(transparent)]
     TransferFunction(#[from] TransferFunctionError),
-    /// A value out of its range, for any volume.
+    /// A value is invalid for every volume.
     #[error(transparent)]
     Edit(#[from] EditError),
-    /// A file of a surface cannot be written.
+    /// The file of a surface cannot be written.
     #[error("{0}; what was made is in the manifest, and the same command goes on")]
     Write(#[source] OutputError),
-    /// Options beside a request's file, which contains its own.
+    /// Options are given beside a request file, which contains its own.
     #[error("a request has its own format, steps and surfaces: expected none of these options beside {}", .0.display())]
     OptionsBesideRequest(PathBuf),
-    /// A state folder was given with volumes: only a request keeps its state in one.
+    /// A state folder is given beside volumes. Only a request file uses one.
     #[error("--state-folder is of a request: of volumes, the manifest in the output's folder says how far they are")]
     StateFolderBesideVolumes,
-    /// No format.
+    /// No format is given.
     #[error("--format is missing: expected the format of the files, {}", Format::EXPECTED)]
     NoFormat,
-    /// An invalid pattern.
+    /// A pattern of file names is invalid.
     #[error("{pattern:?} is no pattern of files")]
     Pattern {
         /// The pattern.
         pattern: String,
-        /// Its fault.
+        /// What is wrong with the pattern.
         source: glob::PatternError,
     },
-    /// No file matches.
+    /// No file matches the pattern.
     #[error("{0:?} matches no file")]
     NoMatch(String),
-    /// Ctrl-C, or SIGTERM.
+    /// The process has received SIGINT or SIGTERM.
     #[error("interrupted, the same command goes on")]
     Interrupted,
-    /// A thread could not be started, or a signal handler not installed.
+    /// A thread could not be started, or a signal handler could not be installed.
     #[error("the process could not go on")]
     System(#[from] io::Error),
 }
@@ -157,7 +157,7 @@ pub fn run(args: &Args) -> Result<(), BatchError> {
 }
 
 impl Args {
-    /// The file of a request, if it is the only input. Folders of Zarr have no such names.
+    /// Returns the request file: the only input, if its extension is `json` and it is not a folder.
     fn request_file(&self) -> Option<&Path> {
         let [file] = &self.inputs[..] else { return None };
         let is_json = file
@@ -173,15 +173,15 @@ impl Args {
         })
     }
 
-    /// Starts the device's thread.
+    /// Starts the device worker.
     fn worker(&self, types: Vec<SampleType>) -> io::Result<DeviceWorker> {
         let options = self.device.options(types, |text| tracing::info!("{text}"));
         DeviceWorker::start_with(options)
     }
 }
 
-/// Ctrl-C and SIGTERM. To be made before the device is opened: PoCL's compiler ends the process in a handler of its own, unless it finds another one
-/// that it calls.
+/// Handler of SIGINT and SIGTERM. Create it before the device is opened: PoCL's compiler installs a handler that ends the process, unless
+/// another handler is already installed.
 struct Interrupt {
     interrupt: Signal,
     terminate: Signal,

@@ -1,4 +1,4 @@
-//! Which device a command uses.
+//! Arguments that select the device, and how commands open it.
 
 use std::os::unix::process::CommandExt;
 use std::process::Command;
@@ -24,7 +24,7 @@ pub struct DeviceArgs {
     next: NextEnvironment,
 }
 
-/// Environment variables of the process that takes the place of this one; none if there is no need of one.
+/// Environment variables that the device needs, but this process does not have. If there are any, another process replaces this one.
 #[derive(Clone, Debug, Default)]
 pub(super) struct NextEnvironment(Arc<Mutex<Vec<(String, String)>>>);
 
@@ -33,7 +33,7 @@ impl NextEnvironment {
         *self.0.lock().unwrap_or_else(PoisonError::into_inner) = variables;
     }
 
-    /// Takes the variables.
+    /// Removes and returns the variables.
     pub(super) fn take(&self) -> Vec<(String, String)> {
         std::mem::take(&mut *self.0.lock().unwrap_or_else(PoisonError::into_inner))
     }
@@ -42,13 +42,13 @@ impl NextEnvironment {
 /// Why a command has no device.
 #[derive(Debug, thiserror::Error)]
 pub enum NoDevice {
-    /// No device passed.
+    /// No device has passed the check.
     #[error(transparent)]
     Failed(#[from] DeviceFailure),
-    /// The device that passed does not open.
+    /// The device that has passed the check cannot be opened.
     #[error(transparent)]
     Open(#[from] isopeel_kernels::Error),
-    /// Another process can open it.
+    /// The device needs environment variables that this process does not have.
     #[error("the device needs another environment than that of this process")]
     NewProcess,
 }
@@ -64,12 +64,12 @@ impl DeviceArgs {
         }
     }
 
-    /// A worker's options for a command: all of the check comes before its first result.
-    pub(super) fn options(&self, types: Vec<SampleType>, say: impl Fn(&str) + Send + 'static) -> DeviceOptions {
+    /// Returns the worker options of a command, which waits for the whole check. Calls `report` with progress for users.
+    pub(super) fn options(&self, types: Vec<SampleType>, report: impl Fn(&str) + Send + 'static) -> DeviceOptions {
         let (requirements, next) = (self.requirements(types.clone(), false), self.next.clone());
         let choose = move |_: &StateReporter| {
             let progress =
-                |done: usize, of: usize| say(&format!("preparing the device: {done} of {of} steps are done"));
+                |done: usize, of: usize| report(&format!("preparing the device: {done} of {of} steps are done"));
             match prepare(&requirements, &progress) {
                 Ok(prepared) => Ok(choice(&prepared, requirements.trusts)),
                 Err(Unprepared::Failed(failure)) => Err(ChoiceError::Refused(failure.to_string())),
@@ -86,13 +86,13 @@ impl DeviceArgs {
         }
     }
 
-    /// A worker's options for a server, which is ready for a first surface while the rest of the check runs.
+    /// Returns the worker options of a server, which can make a first surface while the rest of the check runs.
     pub(super) fn server_options(&self, types: Vec<SampleType>) -> DeviceOptions {
         let (requirements, next) = (self.requirements(types.clone(), true), self.next.clone());
         let choose = move |report: &StateReporter| match prepare(&requirements, &|done, of| report.progress(done, of)) {
             Ok(mut prepared) => {
                 let rest = prepared.rest.take();
-                let proven = rest.map(|rest| checked_meanwhile(rest, report.clone(), next));
+                let proven = rest.map(|rest| finish_check(rest, report.clone(), next));
                 Ok(Choice {
                     proven,
                     ..choice(&prepared, requirements.trusts)
@@ -126,31 +126,31 @@ impl DeviceArgs {
         }
     }
 
-    /// Environment of the process that takes the place of this one.
+    /// Returns the environment variables for a process that replaces this one.
     pub(super) fn next(&self) -> &NextEnvironment {
         &self.next
     }
 
-    /// Returns the outcome of a command. But if the command failed because the device needs other environment variables, replaces this
-    /// process by one that has them and runs the same command.
+    /// Returns the outcome of a command, unless the command has failed because the device needs other environment variables. In that case,
+    /// replaces this process by one that has these variables and runs the same command.
     pub(super) fn or_restart<T, E>(&self, outcome: Result<T, E>) -> Result<T, E> {
         let environment = self.next.take();
         if outcome.is_err() && !environment.is_empty() {
-            let error = start_again(environment);
+            let error = restart(environment);
             tracing::error!("a process with the environment that the device needs could not be started: {error}");
         }
         outcome
     }
 }
 
-/// Goes on with a check, whose proven programs are returned. If the device fails, the server ends, or another process
-/// with the `next` environment takes its place.
-fn checked_meanwhile(rest: PendingCheck, report: StateReporter, next: NextEnvironment) -> Arc<Proven> {
+/// Finishes a check in a thread. Returns the programs that have passed so far, which the thread updates. If the check fails, the server
+/// ends, or a process with the environment `next` replaces it.
+fn finish_check(rest: PendingCheck, report: StateReporter, next: NextEnvironment) -> Arc<Proven> {
     let proven = Arc::new(Proven::default());
-    let found = Arc::clone(&proven);
-    // Children end with the thread that started them: the caller's, which is the device's.
+    let passed = Arc::clone(&proven);
+    // The thread that has started the children must live until they end: it is the caller's, which owns the device.
     std::thread::spawn(move || {
-        let ended = match rest.wait(&|programs| found.add(programs)) {
+        let outcome = match rest.wait(&|programs| passed.add(programs)) {
             Ok(()) => Ok(()),
             Err(Unprepared::Failed(failure)) => {
                 tracing::error!("{failure}");
@@ -163,7 +163,7 @@ fn checked_meanwhile(rest: PendingCheck, report: StateReporter, next: NextEnviro
                 Err("the server starts again with a workaround for its driver".to_owned())
             }
         };
-        found.end(ended);
+        passed.end(outcome);
     });
     proven
 }
@@ -177,8 +177,8 @@ fn choice(prepared: &Prepared, is_trusted: bool) -> Choice {
     }
 }
 
-/// The same command in place of this process, with more in its environment. Returns if that fails.
-fn start_again(environment: Vec<(String, String)>) -> std::io::Error {
+/// Replaces this process by one that runs the same command with additional environment variables. Returns only if that fails.
+fn restart(environment: Vec<(String, String)>) -> std::io::Error {
     Command::new("/proc/self/exe")
         .args(std::env::args_os().skip(1))
         .envs(environment)

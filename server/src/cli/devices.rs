@@ -26,10 +26,10 @@ pub struct Args {
 /// Why the devices cannot be listed.
 #[derive(Debug, thiserror::Error)]
 pub enum DevicesError {
-    /// No loader, driver or device; the message says what to install.
+    /// There is no loader, driver or device. The message says what to install.
     #[error("{0}")]
     Nothing(String),
-    /// There are devices, but none of them computes correctly.
+    /// No device computes correctly.
     #[error("no device passes the check")]
     NonePasses,
 }
@@ -54,7 +54,7 @@ pub fn run(args: &Args) -> Result<(), BoxError> {
     Ok(super::print(describe_devices(&listed.devices).as_bytes())?)
 }
 
-/// Checks all devices, with progress on stderr, and prints a table of the results. `folder`: the cache of verdicts.
+/// Checks all devices, shows progress on stderr, and prints a table of the results. `folder` stores the verdicts.
 fn check(folder: Option<PathBuf>) -> Result<(), BoxError> {
     let bar = indicatif::ProgressBar::new_spinner();
     bar.enable_steady_tick(Duration::from_millis(200));
@@ -71,7 +71,7 @@ fn check(folder: Option<PathBuf>) -> Result<(), BoxError> {
     }
 }
 
-/// Returns the results of a check: a table with a line for each device, and then notes on what failed.
+/// Returns the results of a check: a table with a line for each device, and notes below.
 fn table(checked: &[Checked]) -> String {
     let mut rows = vec![["", "result", "device", "driver"].map(str::to_owned)];
     rows.extend(checked.iter().map(row));
@@ -89,7 +89,7 @@ fn table(checked: &[Checked]) -> String {
     text
 }
 
-/// Returns the failures of each device, and the reason of the order if several drivers offer this machine's processors.
+/// Returns notes on a check: the failures of each device, and the order of preference if several drivers offer the processors.
 fn notes(checked: &[Checked]) -> String {
     let mut text = String::new();
     let has_failure = |device: &&Checked| device.tried.iter().any(|(_, ended)| ended.is_some());
@@ -118,7 +118,7 @@ fn notes(checked: &[Checked]) -> String {
     text
 }
 
-/// Returns index, result, name and driver of a device.
+/// Returns the table row of a device: index, result, name and driver.
 fn row(checked: &Checked) -> [String; 4] {
     let device = &checked.device;
     let result = match checked.passed() {
@@ -138,7 +138,7 @@ fn describe_broken_drivers(listed: &Listed) -> String {
         .collect()
 }
 
-/// Returns the name of each device with its properties, a line each.
+/// Returns a paragraph for each device: its name, and a line for each property.
 fn describe_devices(devices: &[DeviceInfo]) -> String {
     let mut text = String::new();
     for device in devices {
@@ -159,7 +159,7 @@ fn describe_devices(devices: &[DeviceInfo]) -> String {
         // Writing to a string cannot fail.
         let _ = writeln!(text, "{}: {}", device.index, device.name.trim());
         for (name, value) in rows {
-            // The longest name has 18 characters.
+            // 19 is one more than the longest name.
             let _ = writeln!(text, "   {name:<19}{}", value.trim());
         }
     }

@@ -1,4 +1,4 @@
-//! `isopeel extract`
+//! `isopeel extract`: makes one file.
 
 use std::io::{self, IsTerminal};
 use std::path::{Path, PathBuf};
@@ -54,49 +54,49 @@ pub struct Args {
     stats: bool,
 }
 
-/// Why there is no surface.
+/// Why the command has failed.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ExtractError {
-    /// The volume's file cannot be read.
+    /// The volume cannot be read.
     #[error(transparent)]
     Read(#[from] ReadError),
     /// The volume has no such step.
     #[error(transparent)]
     Step(#[from] UnknownStep),
-    /// A value out of its range.
+    /// A value is invalid.
     #[error(transparent)]
     Edit(#[from] EditError),
     /// Work on the device failed.
     #[error(transparent)]
     Work(#[from] WorkError),
-    /// The file could not be made of the surface.
+    /// The surface cannot be converted to a file.
     #[error(transparent)]
     Make(#[from] MakeError),
-    /// The transfer function's file cannot be read.
+    /// The file of the transfer function cannot be read.
     #[error(transparent)]
     TransferFunction(#[from] TransferFunctionError),
     /// The surface has no triangles, and `--allow-empty` is not given.
     #[error("{0}; nothing was written, --allow-empty writes a file without triangles")]
     Empty(String),
-    /// The output's file cannot be written.
+    /// The output file cannot be written.
     #[error(transparent)]
     Output(#[from] OutputError),
-    /// The file is for stdout, and no format is given.
+    /// The output is stdout, and no format is given.
     #[error("-o - does not say the format: expected --format, {}", Format::EXPECTED)]
     NoFormat,
-    /// Both the file and the statistics are for stdout.
+    /// Both the file and the statistics would go to stdout.
     #[error("--stats beside -o -: both are for stdout, expected one of them")]
     StatisticsBesideFile,
-    /// Stdout is closed, a thread could not be started, or a signal handler not installed.
+    /// Stdout is closed, a thread could not be started, or a signal handler could not be installed.
     #[error("the process could not go on")]
     System(#[from] io::Error),
-    /// Ctrl-C.
+    /// The user has pressed Ctrl-C.
     #[error("interrupted, nothing was written")]
     Interrupted,
 }
 
-/// Extracts one surface. On an error no new file is left.
+/// Extracts the surfaces of the arguments, and writes the file. Leaves no new file after an error.
 ///
 /// # Errors
 /// [`ExtractError`].
@@ -107,7 +107,7 @@ pub fn run(args: &Args) -> Result<(), ExtractError> {
     let request = args.surface.request(format, args.step)?;
     let volume = VolumeStep::new(dataset, args.step)?;
     let surfaces = request.surfaces(&volume, &others)?;
-    // A folder that cannot be written is found before the extraction.
+    // Created before the extraction, so that a folder that is not writable is reported at once.
     let output = args.output.as_deref().map(Output::create).transpose()?;
     let work = Work {
         volume,
@@ -126,14 +126,14 @@ pub fn run(args: &Args) -> Result<(), ExtractError> {
         }
         interrupt.cancel();
         match work.await {
-            // Finished before the signal arrived.
+            // The command has finished before the signal arrived.
             Ok(()) => Ok(()),
             Err(_) => Err(ExtractError::Interrupted),
         }
     })
 }
 
-/// The work of the command.
+/// The checked request of the command, and its output.
 struct Work {
     volume: VolumeStep,
     request: FileRequest,
@@ -149,19 +149,19 @@ async fn extract(args: &Args, work: Work, token: CancellationToken) -> Result<()
         output,
     } = work;
     let progress = Progress::new();
-    progress.say("opening the device");
+    progress.show("opening the device");
     let fields = surfaces.iter().flat_map(|surface| &surface.volume.dataset().fields);
     let mut types: Vec<SampleType> = fields.map(|field| field.sample_type).collect();
     types.dedup();
     let preparing = progress.clone();
-    let options = args.device.options(types, move |text| preparing.say(text));
+    let options = args.device.options(types, move |text| preparing.show(text));
     let worker = DeviceWorker::start_with(options)?;
     let device = tokio::select! {
         device = worker.ready() => device?,
         () = token.cancelled() => return Err(ExtractError::Interrupted),
     };
-    progress.say(&format!("extracting on {}", device.name.trim()));
-    let (mut made, mut counted) = (Vec::new(), Vec::new());
+    progress.show(&format!("extracting on {}", device.name.trim()));
+    let (mut surfaces_made, mut statistics_only) = (Vec::new(), Vec::new());
     for surface in surfaces {
         let work = request.options.export_work(&surface.view);
         let extracted = worker.extract_with(&surface.volume, &surface.view, work, &token);
@@ -177,7 +177,7 @@ async fn extract(args: &Args, work: Work, token: CancellationToken) -> Result<()
                 iso.get()
             );
         }
-        for line in said(args, &statistics) {
+        for line in messages(args, &statistics) {
             eprintln!("isopeel: {line}");
         }
         if let Some(why) = why_empty(&worker, &surface.volume, &extraction.view, &statistics).await? {
@@ -188,16 +188,16 @@ async fn extract(args: &Args, work: Work, token: CancellationToken) -> Result<()
             eprintln!("isopeel: {why}");
         }
         if output.is_some() {
-            made.push(MadeSurface::of(&worker, extraction, surface, &device.name, &token).await?);
+            surfaces_made.push(MadeSurface::of(&worker, extraction, surface, &device.name, &token).await?);
         } else {
-            counted.push(statistics);
+            statistics_only.push(statistics);
         }
     }
-    let mut statistics = ExtractionStatistics::of_several(counted);
+    let mut statistics = ExtractionStatistics::of_several(statistics_only);
     if let Some(output) = output {
-        let file = MadeFile::new(&volume, &request, made);
+        let file = MadeFile::new(&volume, &request, surfaces_made);
         statistics = file.statistics.clone();
-        progress.say(&format!(
+        progress.show(&format!(
             "writing {} triangles to {}",
             statistics.triangles,
             output.path.display()
@@ -209,7 +209,7 @@ async fn extract(args: &Args, work: Work, token: CancellationToken) -> Result<()
         eprintln!("isopeel: {notice}");
     }
     print_statistics(args, statistics)?;
-    progress.say("done");
+    progress.show("done");
     Ok(())
 }
 
@@ -222,15 +222,15 @@ fn print_statistics(args: &Args, statistics: ExtractionStatistics) -> io::Result
     super::print(line.as_bytes())
 }
 
-/// Lines for people: removed parts, and guards that gave way.
-fn said(args: &Args, statistics: &ExtractionStatistics) -> Vec<String> {
+/// Returns messages for users about removed parts, and about guards that gave way.
+fn messages(args: &Args, statistics: &ExtractionStatistics) -> Vec<String> {
     let mut lines = removed(args.surface.min_part, args.surface.parts().as_ref(), statistics);
     lines.extend(statistics.gave_way.iter().map(|guard| gave_way(*guard, statistics)));
     lines
 }
 
 impl Args {
-    /// The format that was named, or that the output's name says.
+    /// Returns the format of `--format`, or of the extension of the output file.
     fn format(&self) -> Result<Format, ExtractError> {
         let is_stdout = self.output.as_deref() == Some(Path::new(STDOUT));
         if is_stdout && self.stats {
@@ -240,17 +240,17 @@ impl Args {
             (Some(format), _) => Ok(format),
             (None, Some(_)) if is_stdout => Err(ExtractError::NoFormat),
             (None, Some(path)) => Ok(Format::from_path(path).map_err(MakeError::Export)?),
-            // A count has no format, and one that holds any number of surfaces will do.
+            // Without an output any format will do that can hold several surfaces.
             (None, None) => Ok(Format::Glb),
         }
     }
 
-    /// The volume, and those that surfaces name by their paths.
+    /// Opens the volume, and the other volumes that surfaces name by their paths.
     fn volumes(&self, input: &InputPath) -> Result<(Arc<Dataset>, OtherVolumes), ExtractError> {
         let open = |path: &Path, revision| {
             let mut dataset = open_dataset(path)?;
             dataset.set_frame(self.frame);
-            // Two volumes of one name are not one volume on the device.
+            // Distinguishes volumes with the same id in the caches of the device.
             dataset.revision = revision;
             Ok::<_, ReadError>(Arc::new(dataset))
         };
@@ -266,7 +266,7 @@ impl Args {
     }
 }
 
-/// Lines that say how much was removed, if removal was requested, and how many positions chose no part.
+/// Returns messages about parts that were removed, if the user has requested that, and about positions that are on no part.
 fn removed(min_part: Option<f64>, chosen: Option<&ChosenPartsJson>, statistics: &ExtractionStatistics) -> Vec<String> {
     let (Some(parts), Some(triangles)) = (statistics.removed_parts, statistics.removed_triangles) else {
         return Vec::new();
@@ -293,7 +293,7 @@ fn removed(min_part: Option<f64>, chosen: Option<&ChosenPartsJson>, statistics: 
     lines
 }
 
-/// Which guard gave way to the budget, and by how much.
+/// Returns the message about a guard that gave way to the budget.
 fn gave_way(guard: GuardName, statistics: &ExtractionStatistics) -> String {
     match guard {
         GuardName::MaxError => format!(
@@ -307,21 +307,21 @@ fn gave_way(guard: GuardName, statistics: &ExtractionStatistics) -> String {
 /// Progress on stderr, if that is a terminal.
 #[derive(Clone)]
 struct Progress {
-    shown: bool,
+    is_shown: bool,
     start: Instant,
 }
 
 impl Progress {
     fn new() -> Self {
         Self {
-            shown: io::stderr().is_terminal(),
+            is_shown: io::stderr().is_terminal(),
             start: Instant::now(),
         }
     }
 
-    fn say(&self, what: &str) {
-        if self.shown {
-            eprintln!("{:8.3} s  {what}", self.start.elapsed().as_secs_f64());
+    fn show(&self, text: &str) {
+        if self.is_shown {
+            eprintln!("{:8.3} s  {text}", self.start.elapsed().as_secs_f64());
         }
     }
 }

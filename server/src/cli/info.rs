@@ -1,4 +1,4 @@
-//! `isopeel info PATH`: describes a dataset, without a device.
+//! `isopeel info`: describes a dataset. Needs no device.
 
 use std::io::Write;
 use std::path::Path;
@@ -13,24 +13,24 @@ use serde::Serialize;
 
 use crate::service::{AxisInfo, LabelInfo, TimesInfo};
 
-/// Labels of a field that are printed for people.
+/// Maximum number of labels of a field in the text output.
 const SHOWN_LABELS: usize = 32;
 
-/// Why there is no information.
+/// Why a dataset cannot be described.
 #[derive(Debug, thiserror::Error)]
 pub enum InfoError {
-    /// The path, or a file in it.
+    /// The dataset cannot be read.
     #[error(transparent)]
     Read(#[from] ReadError),
-    /// The output.
+    /// The output cannot be written.
     #[error("the output cannot be written")]
     Write(#[from] std::io::Error),
 }
 
-/// Prints a dataset for people.
+/// Prints a description of a dataset for users.
 ///
 /// # Errors
-/// The path cannot be read, or `out` not written.
+/// The dataset cannot be read, or `out` cannot be written.
 pub fn run(path: &Path, out: &mut dyn Write) -> Result<(), InfoError> {
     let dataset = open_dataset(path)?;
     let report = Report::of(&dataset)?;
@@ -38,7 +38,7 @@ pub fn run(path: &Path, out: &mut dyn Write) -> Result<(), InfoError> {
     Ok(())
 }
 
-/// Prints a dataset as one JSON object, histograms in full.
+/// Prints a description of a dataset as one JSON object, with complete histograms.
 ///
 /// # Errors
 /// As [`run`].
@@ -49,7 +49,7 @@ pub fn run_json(path: &Path, out: &mut dyn Write) -> Result<(), InfoError> {
     Ok(())
 }
 
-/// The printed fields, in order.
+/// The description of a dataset.
 #[derive(Serialize)]
 #[serde(rename_all = "camelCase")]
 struct Report {
@@ -63,14 +63,14 @@ struct Report {
     frame: &'static str,
     unit: Option<&'static str>,
     steps: u32,
-    /// Copyright, and notices on repairs, assumptions and missing information of the grid. A line each.
+    /// Copyright, and notices about repairs, assumptions and missing information of the grid, separated by line breaks.
     notice: Option<String>,
     times: Option<TimesInfo>,
-    /// Absent if the file describes none.
+    /// The axes that the file describes; absent if it describes none.
     #[serde(skip_serializing_if = "Option::is_none")]
     axes: Option<[Option<AxisInfo>; 3]>,
     fields: Vec<FieldReport>,
-    /// Names of the features that are computed from the shown field, then those from vector fields.
+    /// Names of features: first those of the shown field, then those of vector fields.
     features: Vec<String>,
 }
 
@@ -80,16 +80,16 @@ struct FieldReport {
     name: String,
     stored_type: String,
     sample_type: &'static str,
-    /// Of one step on the device.
+    /// Bytes of one time step on the device.
     bytes: u64,
     unit: Option<String>,
-    /// Meaning of its values, if it is a field of labels.
+    /// Names and colours of values, if this is a field of labels.
     labels: Option<Vec<LabelInfo>>,
     missing: Option<f32>,
-    /// Of step 0, as all that follows.
+    /// Range of values in step 0. All values below are of step 0, too.
     range: Option<[f32; 2]>,
     histogram: Vec<u64>,
-    /// That a viewer opens with.
+    /// Isovalue with which a viewer opens the field.
     opening_iso: OpeningIso,
     missing_samples: u64,
     not_finite_samples: u64,
@@ -118,7 +118,7 @@ impl Report {
             times: dataset.times.as_ref().map(|times| TimesInfo::new(times, 0)),
             axes: AxisInfo::all(dataset),
             fields: dataset.fields.iter().map(FieldReport::of).collect::<Result<_, _>>()?,
-            // After the samples were read.
+            // Comes after `FieldReport::of`, which reads the samples and may add notices.
             notice: dataset.notice(),
             features: features_of(dataset),
         })
@@ -176,7 +176,7 @@ impl Report {
     }
 }
 
-/// What the positions along the axes are, and their ends; a line for each axis that the file describes.
+/// Returns a line for each axis that the file describes: name, kind, first and last position, and unit.
 fn axis_lines(dataset: &Dataset) -> Vec<String> {
     let ends = [[0; 3], dataset.geometry.dims.map(|n| n.saturating_sub(1))];
     let line = |axis: usize| {
@@ -204,7 +204,7 @@ fn axis_lines(dataset: &Dataset) -> Vec<String> {
     (0..3).filter_map(line).collect()
 }
 
-/// Names of the features that the device can compute.
+/// Returns the names of the features that the device can compute.
 fn features_of(dataset: &Dataset) -> Vec<String> {
     let derived = DerivedFeature::ALL.iter().map(|feature| feature.name().to_owned());
     let of_vectors = vectors(&dataset.field_names()).into_iter().flat_map(|components| {
@@ -284,8 +284,8 @@ impl FieldReport {
                 color.unwrap_or_default()
             )?;
         }
-        if let Some(more) = labels.len().checked_sub(SHOWN_LABELS).filter(|more| *more > 0) {
-            writeln!(out, "  labels      {more} more, in --json")?;
+        if let Some(omitted) = labels.len().checked_sub(SHOWN_LABELS).filter(|omitted| *omitted > 0) {
+            writeln!(out, "  labels      {omitted} more, in --json")?;
         }
         if self.not_finite_samples > 0 {
             writeln!(out, "  not finite  {} samples", self.not_finite_samples)?;
@@ -299,13 +299,13 @@ fn triple(values: [f64; 3]) -> String {
     values.map(|v| number(rounded(v))).join(" ")
 }
 
-/// Rounds a number to eight digits: numbers computed in single precision have noise behind them. -0 becomes 0.
+/// Rounds a number to eight significant digits, because further digits of values from single precision are noise. Converts -0 to 0.
 fn rounded(value: f64) -> f64 {
-    // Cannot fail: a number with an exponent is a number.
+    // Cannot fail: the text is a formatted number.
     format!("{value:.7e}").parse().unwrap_or(value) + 0.0
 }
 
-/// Formats a number in full, or with a power of ten if that would be a row of zeros.
+/// Formats a number: with a power of ten if it would have many zeros, and otherwise in full.
 fn number<T: Copy + Into<f64> + std::fmt::Display + std::fmt::LowerExp>(value: T) -> String {
     let size = value.into().abs();
     if size == 0.0 || (1e-5..1e9).contains(&size) {
@@ -315,7 +315,7 @@ fn number<T: Copy + Into<f64> + std::fmt::Display + std::fmt::LowerExp>(value: T
     }
 }
 
-/// Bytes in KiB below a tenth of a MiB, which would be 0.0 MiB.
+/// Formats a number of bytes in MiB, or in KiB below a tenth of a MiB.
 fn size(bytes: u64) -> String {
     const MIB: f64 = 1_048_576.0;
     let bytes = bytes as f64;
@@ -326,7 +326,7 @@ fn size(bytes: u64) -> String {
     }
 }
 
-/// 256 bins as 64 characters. Logarithmic, or a volume's background would dominate.
+/// Formats 256 bins as 64 characters. The scale is logarithmic, because the background dominates most volumes.
 fn sparkline(bins: &[u64]) -> String {
     const BARS: [char; 9] = [' ', '▁', '▂', '▃', '▄', '▅', '▆', '▇', '█'];
     let sums: Vec<f64> = bins
@@ -334,7 +334,7 @@ fn sparkline(bins: &[u64]) -> String {
         .map(|c| (c.iter().sum::<u64>() as f64).ln_1p())
         .collect();
     let top = sums.iter().copied().fold(0.0, f64::max);
-    // A bin with any sample has a visible bar.
+    // Rounds up, so that a bin with a single sample has a visible bar.
     sums.iter()
         .map(|s| BARS[if top > 0.0 { (s / top * 8.0).ceil() as usize } else { 0 }])
         .collect()

@@ -1,4 +1,4 @@
-//! `isopeel jobs`: batch jobs of a server.
+//! `isopeel jobs`: a client for the batch jobs of a server.
 
 mod client;
 mod watch;
@@ -97,83 +97,83 @@ enum Command {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum JobsError {
-    /// The server's address is invalid.
+    /// The address of the server is invalid.
     #[error("--server {0:?}: expected http://HOST:PORT or https://HOST")]
     Address(String),
-    /// There is no token.
+    /// The token cannot be read.
     #[error(transparent)]
     Token(#[from] TokenError),
     /// The server cannot be reached, or the connection broke.
     #[error("no answer from {server}")]
     Connection {
-        /// The server.
+        /// Address of the server.
         server: String,
-        /// Why not.
+        /// Error of the HTTP client.
         source: reqwest::Error,
     },
     /// The server has refused the request.
     #[error("{detail} ({code})")]
     Refused {
-        /// The problem's code.
+        /// Code of the problem.
         code: String,
-        /// The problem's detail.
+        /// Detail of the problem.
         detail: String,
     },
-    /// A proxy answers that its server cannot be reached.
+    /// A proxy responds that it cannot reach the server.
     #[error("a proxy answers for {server}: {status}")]
     Away {
-        /// The server.
+        /// Address of the server.
         server: String,
-        /// 502, 503 or 504.
+        /// Status 502, 503 or 504.
         status: StatusCode,
     },
-    /// The answer is not one of a server of this version.
+    /// The response is not one of a server of this version.
     #[error("the answer of {server} is not as expected: {why}")]
     Answer {
-        /// The server.
+        /// Address of the server.
         server: String,
-        /// Its fault.
+        /// What is wrong with the response.
         why: String,
     },
     /// A file cannot be read or written.
     #[error("{}", path.display())]
     File {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// Why not.
+        /// Error of the system.
         source: io::Error,
     },
-    /// A result that was downloaded is not the one that was made.
+    /// A downloaded result differs from the result on the server.
     #[error("result {extraction}: the checksum of what arrived is {found}, expected {expected}")]
     Checksum {
-        /// Which, from 0.
+        /// Number of the extraction, from 0.
         extraction: u32,
         /// Checksum of the downloaded bytes.
         found: String,
         /// Checksum of the result on the server.
         expected: String,
     },
-    /// The job is not done.
+    /// The job is finished, but not done.
     #[error("job {id} is {state}{why}")]
     NotDone {
-        /// The job.
+        /// Id of the job.
         id: String,
-        /// Its state.
+        /// State of the job.
         state: &'static str,
-        /// Why, if known.
+        /// The reason after a colon; empty if it is not known.
         why: String,
     },
-    /// Some results are not there.
+    /// The job has no result for this number of extractions.
     #[error("{0} results are not there, the others were fetched")]
     Missing(u64),
-    /// Stdout is closed, or there are no threads.
+    /// Stdout is closed, or the runtime cannot be started.
     #[error("the process could not go on")]
     System(#[from] io::Error),
 }
 
 impl JobsError {
-    /// Whether the error is transient: the server is restarting, perhaps behind a proxy that says so, or is busy.
-    fn is_passing(&self) -> bool {
+    /// Whether a retry may succeed: the server is busy, or it restarts, perhaps behind a proxy.
+    fn is_transient(&self) -> bool {
         match self {
             Self::Connection { .. } | Self::Away { .. } => true,
             Self::Refused { code, .. } => code == "busy",
@@ -224,11 +224,11 @@ fn read_request(file: &Path) -> io::Result<Vec<u8>> {
     read_request_file(file)
 }
 
-/// The bytes of a request's file, of which there may be as many as a server takes.
+/// Reads a request file of at most [`MAX_REQUEST_BYTES`].
 pub(super) fn read_request_file(file: &Path) -> io::Result<Vec<u8>> {
     let file = std::fs::File::open(file)?;
     let metadata = file.metadata()?;
-    // Pipes and devices have no length.
+    // Checks the length only of regular files, because pipes and devices have none.
     if metadata.is_file() && metadata.len() > MAX_REQUEST_BYTES as u64 {
         return Err(too_long(&metadata.len().to_string()));
     }
@@ -269,7 +269,7 @@ pub(super) fn cost(estimate: Estimate) -> String {
     )
 }
 
-/// A job in a line of a list.
+/// Formats a job as a line of a list.
 fn line(job: &JobInfo) -> String {
     let (counts, state) = (job.extractions, job.state.name());
     let counted = |count, what: &str| match count {
@@ -291,7 +291,7 @@ fn line(job: &JobInfo) -> String {
     )
 }
 
-/// An error unless all of a job's results are there.
+/// Prints a job that is done. Returns an error if the job has failed or was cancelled.
 fn is_done(job: &JobInfo) -> Result<(), JobsError> {
     if job.state == JobState::Done {
         return Ok(super::print(line(job).as_bytes())?);
@@ -361,10 +361,10 @@ async fn fetch(client: &Client, id: &str, folder: &Path) -> Result<(), JobsError
     }
 }
 
-/// The file that lists the results, in the same folder.
+/// Name of the file that lists the results, in the folder of the results.
 pub(super) const MANIFEST_FILE: &str = "manifest.jsonl";
 
-/// Writes a manifest, a line of JSON for each extraction, in place of one that is there.
+/// Writes a manifest, which has a line of JSON for each extraction. Replaces an existing one.
 pub(super) fn write_manifest(path: &Path, entries: &[impl Serialize]) -> io::Result<()> {
     let mut text = Vec::new();
     for entry in entries {
@@ -389,7 +389,7 @@ pub(super) fn empty_ones(entries: &[ManifestEntry]) -> String {
     )
 }
 
-/// SHA-256 of a file, hexadecimal; `None` if it cannot be read.
+/// Returns the hexadecimal SHA-256 of a file; `None` if the file cannot be read.
 pub(super) fn checksum_of(path: &Path) -> Option<String> {
     let (mut file, mut hasher) = (std::fs::File::open(path).ok()?, Sha256::new());
     let mut bytes = vec![0; 1 << 20];

@@ -1,34 +1,35 @@
-//! Limits of the system in which a device cannot be used. They are checked at the start, because libraries and drivers end the process
-//! when they hit them.
+//! Checks the resource limits of the process at the start. Without this check, libraries and drivers would abort the process when they
+//! reach a limit.
 
 use std::io;
 use std::num::NonZero;
 use std::sync::RwLock;
 
-/// Address space that a server needs: twice what it has after the start.
+/// Minimum address space in bytes. Twice as much as a server uses after its start.
 const ADDRESS_BYTES: u64 = 2 << 30;
 
-/// Size of files: compiled kernels have some megabytes, uploads and results more.
+/// Minimum limit of the size of files in bytes. Compiled kernels have some megabytes; uploads and results have more.
 const FILE_BYTES: u64 = 64 << 20;
 
-/// Threads that are started at once, beside four for each processor: those of the sockets, the pools, the device and its driver.
+/// Number of threads that must be possible in addition to four per processor. Threads of sockets, pools, the device and its driver need
+/// them.
 const THREADS: usize = 16;
 
 /// A limit that is too low.
 #[derive(Debug, thiserror::Error)]
 pub enum LimitError {
-    /// Of memory.
+    /// The limit of the address space.
     #[error(
         "this process may have {0} bytes of address space, expected {ADDRESS_BYTES} or more: raise the limit (ulimit -v, LimitAS= of systemd); \
          --host-memory bounds what volumes and surfaces take"
     )]
     AddressSpace(u64),
-    /// Of files.
+    /// The limit of the size of files.
     #[error(
         "files that this process writes may have {0} bytes, expected {FILE_BYTES} or more: raise the limit (ulimit -f, LimitFSIZE= of systemd)"
     )]
     FileSize(u64),
-    /// Of threads.
+    /// The limit of the number of threads.
     #[error(
         "the system does not let this process start {0} threads: raise the limit (ulimit -u, LimitNPROC= and TasksMax= of systemd, --pids-limit of \
          containers)"
@@ -36,10 +37,11 @@ pub enum LimitError {
     Threads(usize, #[source] io::Error),
 }
 
-/// Checks the limits of this process. A write beyond the limit of a file's size is an error from then on, and no longer ends the process.
+/// Checks the limits of this process. Also ignores SIGXFSZ, so that a write beyond the limit of the file size fails, but does not end the
+/// process.
 ///
 /// # Errors
-/// A limit that is too low, and how it is raised.
+/// A limit is too low. The message says how to raise it.
 pub fn check() -> Result<(), LimitError> {
     #[cfg(unix)]
     {
@@ -63,10 +65,10 @@ fn check_sizes(address_space: Option<u64>, file: Option<u64>) -> Result<(), Limi
 
 /// Starts `count` threads at the same time, and waits for their end.
 fn start_threads(count: usize, stack_bytes: Option<usize>) -> io::Result<()> {
-    // Each waits until all were started.
+    // The write lock makes all threads wait until the last one was started.
     let gate = RwLock::new(());
     std::thread::scope(|scope| {
-        let closed = gate.write();
+        let write_lock = gate.write();
         let started = (0..count).try_for_each(|_| {
             let mut thread = std::thread::Builder::new();
             if let Some(bytes) = stack_bytes {
@@ -74,7 +76,7 @@ fn start_threads(count: usize, stack_bytes: Option<usize>) -> io::Result<()> {
             }
             thread.spawn_scoped(scope, || drop(gate.read())).map(drop)
         });
-        drop(closed);
+        drop(write_lock);
         started
     })
 }

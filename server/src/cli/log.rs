@@ -1,6 +1,6 @@
-//! The log: lines on standard error. A thread of its own writes them, so that no other thread waits or fails if standard error cannot be
-//! written: a reader that is stuck, a pipe whose reader has ended, a full disk. Lines that cannot be written are dropped and counted, and the
-//! count is a line of its own once lines can be written again.
+//! The log: lines on standard error. A separate thread writes them, so that no other thread waits or fails if standard error cannot be
+//! written, because its reader is stuck or has ended, or because the disk is full. Lines that cannot be written are dropped and counted.
+//! When writing works again, a line states their number.
 
 use std::borrow::Cow;
 use std::io::{self, IsTerminal, Write};
@@ -14,13 +14,13 @@ use tracing_subscriber::util::SubscriberInitExt;
 
 use super::LogFormat;
 
-/// Lines that may wait.
-const WAITING_LINES: usize = 4096;
+/// Maximum number of queued lines. Further lines are dropped.
+const QUEUED_LINES: usize = 4096;
 
-/// Longest time that the end of a process waits for its lines.
-const LIMIT: Duration = Duration::from_secs(1);
+/// Maximum time that the end of the process waits for queued lines.
+const FLUSH_LIMIT: Duration = Duration::from_secs(1);
 
-/// Held until the log ends.
+/// Guard of the thread that writes. Dropping the guard flushes the queue and ends the thread.
 static GUARD: Mutex<Option<WorkerGuard>> = Mutex::new(None);
 
 /// Starts the log. `RUST_LOG` selects its lines by modules and levels, as `isopeel=debug,warn`; if it is not set, `default_level` does.
@@ -28,7 +28,7 @@ pub fn start(format: LogFormat, default_level: LevelFilter) {
     let (filter, refused) = filter(&std::env::var("RUST_LOG").unwrap_or_default(), default_level);
     let queue = Arc::new(OnceLock::new());
     let (writer, guard) = NonBlockingBuilder::default()
-        .buffered_lines_limit(WAITING_LINES)
+        .buffered_lines_limit(QUEUED_LINES)
         .thread_name("isopeel-log")
         .finish(Lines::new(standard_error(), format, Arc::clone(&queue)));
     let _ = queue.set(writer.error_counter());
@@ -64,7 +64,8 @@ fn filter(wanted: &str, default_level: LevelFilter) -> (Targets, Option<String>)
     }
 }
 
-/// Standard error, without the lock that all of a process shares: a write that waits would hold it.
+/// Returns a copy of standard error, which does not use the lock of `std::io::stderr`: a blocked write would hold this lock, and block
+/// other threads that write to standard error.
 #[cfg(unix)]
 fn standard_error() -> Box<dyn Write + Send> {
     use std::os::fd::AsFd;
@@ -79,28 +80,28 @@ fn standard_error() -> Box<dyn Write + Send> {
     Box::new(io::stderr())
 }
 
-/// Ends the log once its lines are written, or after a second.
+/// Ends the log after all queued lines were written, or after a second.
 pub fn finish() {
     let guard = GUARD.lock().unwrap_or_else(PoisonError::into_inner).take();
-    let (ended, end) = mpsc::channel();
-    // In a thread that is not joined: the library writes to standard error that lines are left, and then waits too.
+    let (sender, flushed) = mpsc::channel();
+    // Drops the guard in a thread that is not joined. If lines are left, the library writes that to standard error, which may block too.
     std::thread::spawn(move || {
         drop(guard);
-        let _ = ended.send(());
+        let _ = sender.send(());
     });
-    let _ = end.recv_timeout(LIMIT);
+    let _ = flushed.recv_timeout(FLUSH_LIMIT);
 }
 
 /// Writes lines to `out`. Counts the lines that cannot be written, and reports the number when writing works again.
 struct Lines<W> {
     out: W,
     format: LogFormat,
-    /// Counts the lines that the full queue has dropped.
+    /// Counter of the lines that the full queue has dropped.
     queue: Arc<OnceLock<ErrorCounter>>,
-    /// Lines that could not be written.
+    /// Number of lines that could not be written.
     unwritten: usize,
-    /// Missing lines that were already reported.
-    said: usize,
+    /// Number of dropped lines that were already reported.
+    reported: usize,
 }
 
 impl<W: Write> Lines<W> {
@@ -110,36 +111,37 @@ impl<W: Write> Lines<W> {
             format,
             queue,
             unwritten: 0,
-            said: 0,
+            reported: 0,
         }
     }
 
+    /// Returns the number of all dropped lines.
     fn dropped(&self) -> usize {
         self.unwritten + self.queue.get().map_or(0, ErrorCounter::dropped_lines)
     }
 
-    /// Writes how many lines are missing since the last report.
-    fn say_dropped(&mut self) -> io::Result<()> {
+    /// Writes the number of lines that were dropped since the last report.
+    fn report_dropped(&mut self) -> io::Result<()> {
         let dropped = self.dropped();
-        if dropped == self.said {
+        if dropped == self.reported {
             return Ok(());
         }
         let text = format!(
             "{} lines of the log are missing here: standard error could not be written",
-            dropped - self.said
+            dropped - self.reported
         );
         match self.format {
             LogFormat::Text => writeln!(self.out, " WARN isopeel: {text}")?,
             LogFormat::Json => writeln!(self.out, "{}", serde_json::json!({"level": "WARN", "message": text}))?,
         }
-        self.said = dropped;
+        self.reported = dropped;
         Ok(())
     }
 }
 
 impl<W: Write> Write for Lines<W> {
     fn write(&mut self, line: &[u8]) -> io::Result<usize> {
-        let written = self.say_dropped().and_then(|()| self.out.write_all(&indented(line)));
+        let written = self.report_dropped().and_then(|()| self.out.write_all(&indented(line)));
         self.unwritten += usize::from(written.is_err());
         Ok(line.len())
     }
@@ -151,7 +153,7 @@ impl<W: Write> Write for Lines<W> {
     }
 }
 
-/// An event whose lines but the first are indented: a name with a line break, of a file or of a field in one, cannot forge an event.
+/// Indents all lines of an event except the first, so that a line break in a name, such as that of a file, cannot forge another event.
 fn indented(event: &[u8]) -> Cow<'_, [u8]> {
     let (text, end) = match event.split_last() {
         Some((b'\n', text)) => (text, &b"\n"[..]),

@@ -117,7 +117,7 @@ fn manual(args: &ManualArgs) -> io::Result<()> {
 }
 
 impl Command {
-    /// Whether the command loads the drivers of devices.
+    /// Whether the command loads device drivers.
     pub fn uses_device(&self) -> bool {
         match self {
             Self::Serve(_) | Self::Extract(_) | Self::Batch(_) | Self::Slice(_) | Self::Devices(_) | Self::Bench(_) => {
@@ -145,7 +145,7 @@ impl Command {
     }
 }
 
-/// Runs a command to its end.
+/// Runs a command.
 ///
 /// # Errors
 /// The error of the command. The caller prints it.
@@ -192,7 +192,7 @@ pub fn exit_code(error: &(dyn std::error::Error + 'static)) -> u8 {
     }
 }
 
-/// Prints to stdout. A closed pipe (`isopeel devices | head -1`) is no error.
+/// Prints to stdout. A closed pipe, as in `isopeel devices | head -1`, is not an error.
 pub(crate) fn print(text: &[u8]) -> io::Result<()> {
     let mut out = io::stdout().lock();
     match out.write_all(text).and_then(|()| out.flush()) {

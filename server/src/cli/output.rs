@@ -1,4 +1,4 @@
-//! Files that commands write, completely or not at all.
+//! Output files of commands. A file appears under its name only when it is complete.
 
 use std::io::{self, BufWriter, IsTerminal, Write};
 use std::path::{Path, PathBuf};
@@ -9,44 +9,45 @@ use tokio_util::sync::CancellationToken;
 
 use crate::export::{ExportError, MadeFile};
 
-/// Bytes of a write.
+/// Bytes of the write buffer.
 const BUFFER_BYTES: usize = 1 << 20;
 
-/// Prefix of names of files that are not complete.
+/// Prefix of the names of temporary files.
 const TEMPORARY: &str = ".isopeel-";
 
-/// The same, of files that a batch writes to its folder.
+/// Prefix of the names of temporary files in the folder of a batch, so that a later batch can recognise and remove them.
 pub(super) const BATCH_TEMPORARY: &str = ".isopeel-batch-";
 
 /// The path that stands for stdout.
 pub(super) const STDOUT: &str = "-";
 
-/// A temporary file beside the output, renamed when it is complete and otherwise deleted; or stdout.
+/// An output: stdout, or a temporary file in the folder of the output. The temporary file is renamed when it is complete, and removed
+/// otherwise.
 pub(super) struct Output {
     pub path: PathBuf,
-    /// `None`: stdout.
+    /// The temporary file; `None` for stdout.
     file: Option<NamedTempFile>,
     hasher: Option<Sha256>,
 }
 
 /// A file that was written.
 pub(super) struct WrittenFile {
-    /// Its length.
+    /// Length in bytes.
     pub bytes: u64,
-    /// Its SHA-256, if that was asked for.
+    /// SHA-256 of the bytes, if it was requested.
     pub sha256: Option<[u8; 32]>,
 }
 
-/// Why a file is not written.
+/// Why an output was not written.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum OutputError {
-    /// It cannot be created or written.
+    /// The file cannot be created or written.
     #[error("output {}", path.display())]
     File {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// Why not.
+        /// Error of the system.
         source: io::Error,
     },
     /// The surface does not fit the format.
@@ -54,20 +55,20 @@ pub enum OutputError {
     Export(ExportError),
 }
 
-/// A temporary file in a folder, with the rights of any new file.
+/// Creates a temporary file in a folder, with the permissions of any new file.
 fn temporary_in(folder: &Path, prefix: &str) -> io::Result<NamedTempFile> {
     let mut builder = tempfile::Builder::new();
     builder.prefix(prefix);
     #[cfg(unix)]
     {
         use std::os::unix::fs::PermissionsExt;
-        // Before the umask.
+        // The system applies the umask to this mode.
         builder.permissions(std::fs::Permissions::from_mode(0o666));
     }
     builder.tempfile_in(folder)
 }
 
-/// Writes a small file of a batch, whole or not at all, in place of one that is there.
+/// Writes a small file of a batch atomically. Replaces an existing file.
 pub(super) fn write_whole(path: &Path, bytes: &[u8]) -> io::Result<()> {
     let mut file = temporary_in(path.parent().unwrap_or(Path::new(".")), BATCH_TEMPORARY)?;
     file.write_all(bytes)?;
@@ -76,7 +77,7 @@ pub(super) fn write_whole(path: &Path, bytes: &[u8]) -> io::Result<()> {
 }
 
 impl Output {
-    /// Creates the temporary file, so that a folder that cannot be written is found before the work.
+    /// Creates the temporary file. Call this before any long work, so that a folder that is not writable is reported at once.
     pub(super) fn create(path: &Path) -> Result<Self, OutputError> {
         if path == Path::new(STDOUT) {
             return Self::stdout();
@@ -84,7 +85,7 @@ impl Output {
         Self::create_named(path, TEMPORARY)
     }
 
-    /// As [`Output::create`], of a file in the folder of a batch.
+    /// Creates the temporary file of an output in the folder of a batch.
     pub(super) fn create_of_batch(path: &Path) -> Result<Self, OutputError> {
         Self::create_named(path, BATCH_TEMPORARY)
     }
@@ -96,7 +97,7 @@ impl Output {
                 return Err(io::ErrorKind::IsADirectory.into());
             }
             let folder = folder.unwrap_or(Path::new("."));
-            // The error would name the temporary file.
+            // Checked here, because the error of a missing folder would name the temporary file.
             if !folder.exists() {
                 let why = format!("there is no folder {}", folder.display());
                 return Err(io::Error::new(io::ErrorKind::NotFound, why));
@@ -127,7 +128,7 @@ impl Output {
         })
     }
 
-    /// The same, with a checksum of the written bytes.
+    /// Also computes a checksum of the written bytes.
     pub(super) fn with_checksum(self) -> Self {
         Self {
             hasher: Some(Sha256::new()),
@@ -135,7 +136,7 @@ impl Output {
         }
     }
 
-    /// Writes bytes and gives the file its name.
+    /// Writes bytes, and renames the file.
     pub(super) fn write_bytes(self, bytes: &[u8]) -> Result<(), OutputError> {
         let write = || match self.file {
             Some(mut file) => {
@@ -149,7 +150,7 @@ impl Output {
         write().map_err(|source| OutputError::File { path, source })
     }
 
-    /// Writes the file of a surface and gives it its name.
+    /// Writes the file of a surface, and renames the file.
     pub(super) fn write(mut self, made: &MadeFile, token: &CancellationToken) -> Result<WrittenFile, OutputError> {
         let mut stdout = io::stdout();
         let out: &mut dyn Write = match &mut self.file {
@@ -184,7 +185,7 @@ impl Output {
     }
 }
 
-/// An output whose writes fail once the token is cancelled.
+/// Writer that fails after the token was cancelled. Counts and hashes the bytes.
 struct Interruptible<'a> {
     out: &'a mut dyn Write,
     token: &'a CancellationToken,
@@ -195,7 +196,7 @@ struct Interruptible<'a> {
 impl Write for Interruptible<'_> {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         if self.token.is_cancelled() {
-            // `Interrupted` would be retried.
+            // Not `ErrorKind::Interrupted`, because `write_all` would retry.
             return Err(io::Error::other("interrupted"));
         }
         let written = self.out.write(bytes)?;

@@ -1,4 +1,4 @@
-//! `isopeel serve`
+//! `isopeel serve`: starts the server.
 
 mod memory;
 mod oidc;
@@ -32,19 +32,20 @@ use crate::uploads::FolderError;
 use memory::MemoryArgs;
 use uploads::UploadArgs;
 
-/// 80 MB on the wire, 1 GB of memory to get there: more than a browser can draw.
+/// Default of `--ceiling-triangles`. More than a browser can draw: 80 MB on the wire, and 1 GB of memory while the surface is made.
 const CEILING_TRIANGLES: u64 = 20_000_000;
 
-/// An expression of 64 operations over 1024³ samples takes less on two cores, except with the slowest functions.
+/// Default of `--request-time`. An expression of 64 operations over 1024³ samples takes less on two cores, except with the slowest
+/// functions.
 const REQUEST_SECONDS: u32 = 120;
 
-/// Half of the time.
+/// Default of `--user-time`: half of the ten minutes for which it holds.
 const USER_SECONDS: u32 = 300;
 
-/// An export may take as long.
+/// Maximum of `--drain`. The second half of it is as long as the deadline of an export.
 const MAX_DRAIN_SECONDS: i64 = 1200;
 
-/// Some thousand surfaces of a million triangles.
+/// Default of `--job-quota`. Enough for some thousand surfaces of a million triangles.
 const JOB_QUOTA_MIB: u64 = 64 * 1024;
 
 /// Arguments of `isopeel serve`.
@@ -191,76 +192,77 @@ pub struct Args {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// A volume's file cannot be read.
+    /// A volume cannot be read.
     #[error(transparent)]
     Read(#[from] ReadError),
-    /// There is neither a path nor the demo.
+    /// The arguments name no path, disable the demo, and enable no uploads.
     #[error("no volume to offer: expected a path, --uploads, or no --no-demo")]
     NoVolume,
-    /// The address cannot be listened on.
+    /// The server cannot listen on the address.
     #[error("cannot listen on {address}")]
     Listen {
         /// The address.
         address: ListenAddress,
-        /// Why not.
+        /// Error of the system.
         source: std::io::Error,
     },
-    /// The device's driver asks for another process, and there is none.
+    /// The device needs a new process, which cannot be started.
     #[error("another process cannot take the place of this one, which the device's driver asks for")]
     Relaunch(#[source] std::io::Error),
-    /// There is no TLS.
+    /// The certificate or its key cannot be used.
     #[error(transparent)]
     Tls(#[from] TlsError),
-    /// A certificate without its key, or a key alone.
+    /// A certificate is given without its key, or a key without its certificate.
     #[error("--tls-cert and --tls-key belong together, expected both or none")]
     HalfOfTls,
     /// Sign-in through the issuer cannot be set up.
     #[error(transparent)]
     Oidc(#[from] oidc::Error),
-    /// There is no audit log.
+    /// The audit log cannot be opened.
     #[error(transparent)]
     Audit(#[from] AuditError),
-    /// There is no token.
+    /// The token cannot be read or generated.
     #[error(transparent)]
     Token(#[from] TokenError),
-    /// Everybody on the network could use it.
+    /// Anybody on the network could use a server without authentication.
     #[error(
         "--no-auth works on a loopback address alone, {0} is open to the network: leave it out, and open the address with the token"
     )]
     OpenToNetwork(SocketAddr),
-    /// The threads of exports cannot be started.
+    /// The threads of the export pool cannot be started.
     #[error(transparent)]
     Pool(#[from] rayon::ThreadPoolBuildError),
-    /// Batch jobs cannot be kept there.
+    /// The state folder cannot be used.
     #[error(transparent)]
     StateFolder(#[from] StateFolderError),
-    /// Exports cannot wait there.
+    /// The spool folder cannot be used.
     #[error("spool")]
     Spool(#[from] FolderAccessError),
-    /// Uploads cannot be kept there.
+    /// The folder of uploads cannot be used.
     #[error(transparent)]
     Uploads(#[from] FolderError),
-    /// The tokens there cannot be read.
+    /// The tokens of the state folder cannot be read.
     #[error(transparent)]
     TokenFile(#[from] TokenFileError),
     /// The server ended.
     #[error(transparent)]
     Serve(#[from] ServeError),
-    /// Standard output cannot be written, so users would not learn the server's address.
+    /// The address of the server cannot be written to standard output.
     #[error("standard output cannot be written, to which the server's address goes")]
     Output(#[source] std::io::Error),
-    /// No thread or signal handler could be had.
+    /// A thread could not be started, or a signal handler could not be installed.
     #[error("the process could not go on")]
     System(#[from] std::io::Error),
 }
 
-/// Time for the device's thread to end after the last connection; a kernel that is being compiled is not waited for.
+/// Maximum time that the device's thread has to end after the last connection. The process does not wait longer for a kernel that is being
+/// compiled.
 const DEVICE_GRACE: Duration = Duration::from_millis(500);
 
-/// Time for the last lines of the audit log.
+/// Maximum time for flushing the audit log.
 const AUDIT_GRACE: Duration = Duration::from_millis(200);
 
-/// Serves until ctrl-c or SIGTERM.
+/// Serves until SIGINT or SIGTERM.
 ///
 /// # Errors
 /// [`Error`].
@@ -273,9 +275,9 @@ pub fn run(args: &Args) -> Result<(), Error> {
     {
         return Err(Error::OpenToNetwork(*address));
     }
-    let before = relaunch::before();
-    let token = match &before {
-        Some(before) if args.token_file.is_none() => before.token.clone(),
+    let inherited = relaunch::inherited();
+    let token = match &inherited {
+        Some(inherited) if args.token_file.is_none() => inherited.token.clone(),
         _ => token(args)?,
     };
     let tls = tls(args)?;
@@ -295,8 +297,8 @@ pub fn run(args: &Args) -> Result<(), Error> {
         None => Catalog::open(&args.paths, args.has_demo())?.in_frame(args.frame).into(),
     };
     let uploads = args.uploads.open(args, &catalog)?;
-    let may_get_some = args.uploads.are_taken() || (watcher.is_some() && !args.paths.is_empty());
-    if catalog.now().datasets().is_empty() && !may_get_some {
+    let may_get_volumes = args.uploads.are_enabled() || (watcher.is_some() && !args.paths.is_empty());
+    if catalog.now().datasets().is_empty() && !may_get_volumes {
         return Err(Error::NoVolume);
     }
     let folder = args.state_folder.as_deref();
@@ -310,23 +312,23 @@ pub fn run(args: &Args) -> Result<(), Error> {
     let jobs = folder.map(|folder| (folder, args.job_limits()));
     pool::start_background()?;
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
-    let (half, is_draining) = (Duration::from_secs(args.drain.into()) / 2, Arc::default());
+    let (half_drain, is_draining) = (Duration::from_secs(args.drain.into()) / 2, Arc::default());
     let drain = signals::Drain {
-        time: half,
+        time: half_drain,
         has_begun: Arc::clone(&is_draining),
     };
-    let (served, worker, address) = runtime.block_on(async {
-        let listener = listen(before.as_ref().map_or(&args.listen, |before| &before.listen)).await?;
+    let (outcome, worker, address) = runtime.block_on(async {
+        let listener = listen(inherited.as_ref().map_or(&args.listen, |inherited| &inherited.listen)).await?;
         let metrics = match &args.metrics_listen {
             Some(address) => Some(listen(address).await?),
             None => None,
         };
         let shutdown = signals::shutdown(reload(tls.clone(), audit.clone()), drain)?;
-        // After the listener: an address in use is found before a device is opened.
-        let worker = start_worker(args, &catalog, before.is_some())?;
+        // Comes after the listener, so that an address in use is reported before the device is opened.
+        let worker = start_worker(args, &catalog, inherited.is_some())?;
         let address = listener.address()?;
         warn_of_network(args, &address);
-        if before.is_none() {
+        if inherited.is_none() {
             super::print(addresses(args, &address, token.as_ref()).as_bytes()).map_err(Error::Output)?;
         }
         let access = access(args, &address, token.as_ref(), tokens.as_ref());
@@ -341,24 +343,24 @@ pub fn run(args: &Args) -> Result<(), Error> {
             jobs,
             spool,
             is_draining,
-            grace: half.max(serve::SHUTDOWN_GRACE),
+            grace: half_drain.max(serve::SHUTDOWN_GRACE),
             ..Config::new(catalog, worker.clone(), access)
         };
-        let watching = watcher.map(|watcher| tokio::spawn(watch(watcher)));
-        let looking = tokens.map(|tokens| tokio::spawn(tokens.run()));
-        let served = serve::run(listener, config, shutdown).await;
-        for task in watching.into_iter().chain(looking) {
+        let path_watch = watcher.map(|watcher| tokio::spawn(watch(watcher)));
+        let token_watch = tokens.map(|tokens| tokio::spawn(tokens.run()));
+        let outcome = serve::run(listener, config, shutdown).await;
+        for task in path_watch.into_iter().chain(token_watch) {
             task.abort();
         }
-        Ok::<_, Error>((served, worker, address))
+        Ok::<_, Error>((outcome, worker, address))
     })?;
-    // Ends what still reads files or writes exports, which frees the worker's other handles.
+    // Ends tasks that still read files or write exports, so that they drop their handles of the worker.
     runtime.shutdown_timeout(Duration::from_millis(100));
     if let Some(audit) = audit {
         audit.flush(AUDIT_GRACE);
     }
     let has_ended = worker.end_within(DEVICE_GRACE);
-    if matches!(served, Err(ServeError::NeedsNewProcess)) {
+    if matches!(outcome, Err(ServeError::NeedsNewProcess)) {
         tracing::warn!("another process takes the place of this one");
         log::finish();
         return Err(Error::Relaunch(relaunch::relaunch(
@@ -370,9 +372,9 @@ pub fn run(args: &Args) -> Result<(), Error> {
     if !has_ended {
         tracing::warn!("the device is at work still, the process ends without it");
         log::finish();
-        signals::exit_now(served.is_ok());
+        signals::exit_now(outcome.is_ok());
     }
-    Ok(served?)
+    Ok(outcome?)
 }
 
 async fn listen(address: &ListenAddress) -> Result<Listener, Error> {
@@ -383,9 +385,9 @@ async fn listen(address: &ListenAddress) -> Result<Listener, Error> {
     })
 }
 
-/// Certificate and key.
+/// Reads the certificate and its key, if the arguments name them.
 fn tls(args: &Args) -> Result<Option<Arc<Tls>>, Error> {
-    // A file of options may name one of them.
+    // clap checks this only for the command line, not for a file of options.
     if args.tls_cert.is_some() != args.tls_key.is_some() {
         return Err(Error::HalfOfTls);
     }
@@ -396,7 +398,8 @@ fn tls(args: &Args) -> Result<Option<Arc<Tls>>, Error> {
     Ok(tls.map(Arc::new))
 }
 
-/// Returns the handler of SIGHUP, which reloads the certificate and reopens the audit log, and says what it has reloaded.
+/// Returns the handler of SIGHUP. It reloads the certificate, reopens the audit log, and returns a text for the log about what it has
+/// reloaded.
 fn reload(tls: Option<Arc<Tls>>, audit: Option<Audit>) -> impl Fn() -> &'static str + Send + 'static {
     move || {
         if let Some(audit) = &audit {
@@ -413,7 +416,7 @@ fn reload(tls: Option<Arc<Tls>>, audit: Option<Audit>) -> impl Fn() -> &'static 
     }
 }
 
-/// The token that is asked for.
+/// Returns the start token: from a file, or random. Returns `None` without authentication, and for a Unix socket without a token file.
 fn token(args: &Args) -> Result<Option<Token>, Error> {
     Ok(match &args.token_file {
         _ if args.no_auth => None,
@@ -423,8 +426,8 @@ fn token(args: &Args) -> Result<Option<Token>, Error> {
     })
 }
 
-/// Returns the addresses of the viewer, one per line. An address with a random token in it admits everyone who opens it. A token from a
-/// file is left out: its users know it, and it stays out of logs.
+/// Returns the addresses of the viewer, one per line. An address contains a random token, so that users can open it. It does not contain a
+/// token from a file, because users know this token, and because the output may be logged.
 fn addresses(args: &Args, listen: &ListenAddress, token: Option<&Token>) -> String {
     let secret = match token {
         Some(token) if args.token_file.is_none() => format!("/#token={}", token.text()),
@@ -439,7 +442,7 @@ fn addresses(args: &Args, listen: &ListenAddress, token: Option<&Token>) -> Stri
     std::iter::once(local).chain(public).collect()
 }
 
-/// An address that a browser of this machine reaches.
+/// Returns an address at which a browser on this machine reaches the server.
 fn reachable(listen: SocketAddr) -> SocketAddr {
     match listen.ip() {
         IpAddr::V4(address) if address.is_unspecified() => (Ipv4Addr::LOCALHOST, listen.port()).into(),
@@ -448,7 +451,7 @@ fn reachable(listen: SocketAddr) -> SocketAddr {
     }
 }
 
-/// Says who may use the server that should perhaps not, and what others on the network can read.
+/// Logs a warning if more people may use the server than the operator may expect, or if connections on the network are not encrypted.
 fn warn_of_network(args: &Args, address: &ListenAddress) {
     let ListenAddress::Tcp(address) = address else {
         if args.token_file.is_none() && !args.public_url.is_empty() {
@@ -483,14 +486,14 @@ fn start_worker(args: &Args, catalog: &SharedCatalog, retries_opening: bool) -> 
     })
 }
 
-/// A limit in seconds, of which 0 is none.
+/// Converts a limit in seconds. 0 means no limit.
 fn limit_of(seconds: u32) -> Option<Duration> {
     (seconds > 0).then(|| Duration::from_secs(seconds.into()))
 }
 
-/// Who may use the server that listens there.
+/// Returns the access control of a server that listens on an address.
 fn access(args: &Args, address: &ListenAddress, token: Option<&Token>, tokens: Option<&TokenWatch>) -> Access {
-    // What reaches a Unix socket by a tunnel asks for a name of this machine.
+    // Requests that reach a Unix socket through a tunnel name this machine in `Host`.
     let address = match address {
         ListenAddress::Tcp(address) => *address,
         ListenAddress::Unix(_) => (Ipv4Addr::LOCALHOST, 0).into(),
@@ -519,7 +522,7 @@ fn access(args: &Args, address: &ListenAddress, token: Option<&Token>, tokens: O
 }
 
 impl Args {
-    /// `--demo` comes before what the environment or a file says.
+    /// Whether to offer the demo volume. `--demo` overrides `no-demo` in the environment or in a file.
     fn has_demo(&self) -> bool {
         self.demo || !self.no_demo
     }
@@ -532,10 +535,10 @@ impl Args {
         }
     }
 
-    /// Returns the folder in which exports wait for slow clients: `--spool`, or one in the state folder.
+    /// Returns the folder for spooled exports: `--spool`, or else `spool` in the state folder.
     fn spool(&self, state: Option<&StateFolder>) -> Result<Option<SpoolFolder>, FolderAccessError> {
-        let own = state.map(|folder| folder.path().join("spool"));
-        let folder = self.spool.clone().or(own);
+        let default = state.map(|folder| folder.path().join("spool"));
+        let folder = self.spool.clone().or(default);
         let opened = folder.map(|folder| private_folder::open(&folder, self.folder_access));
         Ok(opened.transpose()?.map(SpoolFolder::new))
     }
@@ -547,17 +550,17 @@ impl Args {
     }
 }
 
-/// Looks at the paths for ever.
+/// Checks the paths for new files at intervals. Returns only after a panic.
 async fn watch(mut watcher: Watcher) {
     let mut readers = ReadPool::start();
     loop {
         tokio::time::sleep(INTERVAL).await;
-        let look = move || {
+        let check = move || {
             readers.run(|| watcher.look());
             (watcher, readers)
         };
-        (watcher, readers) = match tokio::task::spawn_blocking(look).await {
-            Ok(next) => next,
+        (watcher, readers) = match tokio::task::spawn_blocking(check).await {
+            Ok(returned) => returned,
             Err(error) => return tracing::error!(%error, "paths are not watched any more"),
         };
     }

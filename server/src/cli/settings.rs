@@ -1,5 +1,5 @@
-//! Options of `isopeel serve` from the environment and from a file: each has the same name and the same meaning everywhere. The command
-//! line takes precedence over the environment, the environment over the file, and the file over the built-in defaults.
+//! Options of `isopeel serve` from the environment and from a file. An option has the same name and the same meaning everywhere. The
+//! command line takes precedence over the environment, the environment over the file, and the file over the built-in defaults.
 
 use std::ffi::{OsStr, OsString};
 use std::path::{Path, PathBuf};
@@ -10,65 +10,66 @@ use toml::Value;
 
 use super::Cli;
 
-/// The command whose options these are.
+/// The command that has these options.
 const COMMAND: &str = "serve";
 
-/// The option that names the file, and its variable.
+/// The option that names the file.
 const OPTION: &str = "config";
+/// The environment variable that names the file.
 const VARIABLE: &str = "ISOPEEL_CONFIG";
 
-/// Options whose values have commas. Lists of them are parted by semicolons.
+/// Options whose values contain commas. In an environment variable, semicolons separate several values.
 const HAVE_COMMAS: [&str; 1] = ["oidc-role"];
 
-/// The key of the paths, which have no option.
+/// Key of the paths in the file, because paths are arguments without an option name.
 const PATHS: &str = "paths";
 
 /// Why a file cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum SettingsError {
-    /// It cannot be read.
+    /// The file cannot be read.
     #[error("cannot read {}", path.display())]
     Read {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// Why not.
+        /// Error of the system.
         source: std::io::Error,
     },
-    /// It is no TOML.
+    /// The file is not valid TOML.
     #[error("{} is not TOML: {why}", path.display())]
     Syntax {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
         /// Message of the parser.
         why: String,
     },
-    /// A key that is not an option.
+    /// A key is not an option of the command.
     #[error("{}: {key} is no option of isopeel serve, expected one of {expected}", path.display())]
     UnknownKey {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
         /// The key.
         key: String,
-        /// All keys there are.
+        /// All valid keys, separated by commas.
         expected: String,
     },
-    /// A value of another kind.
+    /// A value has the wrong type.
     #[error("{}: {key} = {value}, expected {expected}", path.display())]
     Kind {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
         /// The key.
         key: String,
-        /// Its value.
+        /// Value of the key.
         value: String,
-        /// The expected kind of value.
+        /// The expected type.
         expected: &'static str,
     },
 }
 
 /// Parses the command line of this process, with its environment and file.
 ///
-/// Exits the process after printing usage or version, as [`clap::Parser::parse`] does, and also if an option is wrong.
+/// Like [`clap::Parser::parse`], prints a message and exits the process if the user asks for usage or version, or if an option is wrong.
 ///
 /// # Errors
 /// [`SettingsError`].
@@ -91,39 +92,39 @@ pub fn parse() -> Result<Cli, SettingsError> {
     }))
 }
 
-/// The file that is named, if it is for this command.
+/// Returns the path of the file: from the option, or else from the variable. Returns `None` if the command is not [`COMMAND`].
 fn file_of(arguments: &[OsString], variable: Option<OsString>) -> Option<PathBuf> {
-    let at = arguments.iter().position(|argument| argument == COMMAND)?;
+    let command = arguments.iter().position(|argument| argument == COMMAND)?;
     let option = OsString::from(format!("--{OPTION}"));
     let prefix = format!("--{OPTION}=");
-    // Behind `--` are paths alone.
-    let mut options = arguments[at + 1..].iter().take_while(|argument| *argument != "--");
-    let mut named = None;
+    // Only paths follow `--`.
+    let mut options = arguments[command + 1..].iter().take_while(|argument| *argument != "--");
+    let mut path = None;
     while let Some(argument) = options.next() {
         if *argument == option {
-            named = options.next().cloned();
-        } else if let Some(path) = argument.to_str().and_then(|text| text.strip_prefix(&prefix)) {
-            named = Some(path.into());
+            path = options.next().cloned();
+        } else if let Some(value) = argument.to_str().and_then(|text| text.strip_prefix(&prefix)) {
+            path = Some(value.into());
         }
     }
-    let named = named.or(variable).filter(|name| name != OsStr::new(""));
-    named.map(PathBuf::from)
+    let path = path.or(variable).filter(|path| path != OsStr::new(""));
+    path.map(PathBuf::from)
 }
 
-/// The variable of an option.
+/// Returns the environment variable of an option.
 fn variable_of(option: &str) -> String {
     format!("ISOPEEL_{}", option.to_uppercase().replace('-', "_"))
 }
 
-/// Each option of the command from its variable too.
+/// Lets clap read each option of the command from its environment variable, too.
 fn with_variables(command: Command) -> Command {
     command.mut_subcommand(COMMAND, |serve| {
         serve.mut_args(|arg| match arg.get_long() {
-            // These are requests, not settings.
+            // Excludes `help` and `version`, which are not settings.
             None | Some("help" | "version") => arg,
             Some(long) => {
                 let variable = variable_of(long);
-                // Options that may be repeated are lists.
+                // The variable of a repeatable option contains a list.
                 let arg = match arg.get_action() {
                     ArgAction::Append if HAVE_COMMAS.contains(&long) => arg.value_delimiter(';'),
                     ArgAction::Append => arg.value_delimiter(','),
@@ -164,7 +165,7 @@ fn with_file(command: Command, path: &Path) -> Result<Command, SettingsError> {
     Ok(command)
 }
 
-/// The key of an option in a file.
+/// Returns the key of an option in a file; `None` if the file cannot set the option.
 fn key_of(arg: &Arg) -> Option<&str> {
     match arg.get_long() {
         None => Some(PATHS),
@@ -173,7 +174,7 @@ fn key_of(arg: &Arg) -> Option<&str> {
     }
 }
 
-/// The values of a key as the command line would have them.
+/// Converts the value of a key to texts as on the command line.
 fn values_of(arg: &Arg, key: &str, value: &Value, path: &Path) -> Result<Vec<String>, SettingsError> {
     let wrong = |expected| SettingsError::Kind {
         path: path.into(),

@@ -1,4 +1,4 @@
-//! `isopeel slice`
+//! `isopeel slice`: writes a plane of samples, or contours.
 
 use std::io;
 use std::path::PathBuf;
@@ -67,7 +67,7 @@ pub struct Args {
     format: Option<SliceFormat>,
 }
 
-/// Why there is no slice.
+/// Why the command has failed.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum SliceError {
@@ -77,10 +77,10 @@ pub enum SliceError {
     /// The volume has no such step.
     #[error(transparent)]
     Step(#[from] UnknownStep),
-    /// There is no such plane, or the options do not fit it.
+    /// The volume has no such plane, or the options do not apply to it.
     #[error(transparent)]
     Slice(#[from] BadSlice),
-    /// The format is not known.
+    /// No format is given, and the file name does not imply one.
     #[error(
         "{0:?} does not say the format: expected a name that ends in .png, .nrrd, .nii, .nii.gz, .raw, .svg or .geojson, or --format"
     )]
@@ -90,7 +90,7 @@ pub enum SliceError {
     NoField {
         /// The requested name.
         name: String,
-        /// The fields that there are.
+        /// Names of all fields, separated by commas.
         known: String,
     },
     /// Work on the device failed.
@@ -99,10 +99,10 @@ pub enum SliceError {
     /// The file cannot be written.
     #[error(transparent)]
     Output(#[from] OutputError),
-    /// The picture cannot be made.
+    /// The picture cannot be encoded.
     #[error("the picture could not be made")]
     Picture(#[from] png::EncodingError),
-    /// The work panicked.
+    /// The task that makes the file panicked.
     #[error(transparent)]
     Panicked(#[from] Panicked),
     /// A thread could not be started.
@@ -131,7 +131,7 @@ pub fn run(args: &Args) -> Result<(), SliceError> {
     let volume = VolumeStep::new(dataset, args.step)?;
     let plane = Plane::new(&volume, field, args.axis, args.index)?;
     plane.check(&options)?;
-    // A folder that cannot be written is found before the work.
+    // Created before the device is opened, so that a folder that is not writable is reported at once.
     let output = Output::create(&args.output)?;
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     let file = runtime.block_on(async {
@@ -145,11 +145,11 @@ pub fn run(args: &Args) -> Result<(), SliceError> {
 
 impl Args {
     fn field_of(&self, dataset: &Dataset) -> Result<Field, SliceError> {
-        let found = match &self.field {
+        let field = match &self.field {
             None => dataset.fields.first().cloned(),
             Some(name) => fields::field_or_computed(dataset, name),
         };
-        found.ok_or_else(|| {
+        field.ok_or_else(|| {
             let names: Vec<String> = dataset.field_names().iter().map(|name| format!("{name:?}")).collect();
             SliceError::NoField {
                 name: self.field.clone().unwrap_or_default(),

@@ -1,4 +1,4 @@
-//! Input paths on the command line, of which `-` stands for stdin.
+//! Input paths on the command line, where `-` means stdin.
 
 use std::fs::File;
 use std::io;
@@ -9,10 +9,10 @@ use tokio::signal::unix::{SignalKind, signal};
 
 use isopeel_volumes::ReadError;
 
-/// The path that stands for stdin.
+/// The path that means stdin.
 const STDIN: &str = "-";
 
-/// The path of an input. If the input is stdin, a temporary file holds all of it; dropping this removes the file.
+/// The path of an input. For stdin, this is a temporary file with a copy of stdin. Dropping this value removes the temporary file.
 pub(super) struct InputPath {
     path: PathBuf,
     /// Folder of the temporary file, if the input is stdin.
@@ -20,11 +20,11 @@ pub(super) struct InputPath {
 }
 
 impl InputPath {
-    /// Returns the path itself, or for `-` that of a temporary file with all of stdin. The file has no extension: readers find out its
-    /// format from its first bytes.
+    /// Returns the input of a path. For `-`, copies stdin to a temporary file first. This file has no extension, so readers detect its
+    /// format by its first bytes.
     ///
     /// # Errors
-    /// Stdin cannot be read, or there is no space for it in the folder for temporary files.
+    /// Stdin cannot be read, or the folder for temporary files has no space.
     pub(super) fn new(path: &Path) -> Result<Self, ReadError> {
         if path != Path::new(STDIN) {
             return Ok(Self {
@@ -35,9 +35,9 @@ impl InputPath {
         Self::spool().map_err(|error| ReadError::io(path, "stdin", "cannot be read", error))
     }
 
-    /// Copies stdin to a temporary file. Ctrl-C and SIGTERM end the copy with an error, so that the file is removed then too.
+    /// Copies stdin to a temporary file. SIGINT and SIGTERM end the copy with an error, so that the temporary file is removed.
     ///
-    /// Afterwards the file takes the place of stdin, so that another process that replaces this one can read the input once more.
+    /// Then makes the temporary file the new stdin. So a process that replaces this one can read the input again.
     fn spool() -> io::Result<Self> {
         let folder = tempfile::tempdir()?;
         let path = folder.path().join("stdin");
@@ -52,7 +52,7 @@ impl InputPath {
                 _ = terminate.recv() => Err(io::Error::other("interrupted")),
             }
         });
-        // After an interruption the thread may still wait for stdin: do not wait for it.
+        // Does not wait for the thread, which may still be blocked on stdin after an interruption.
         runtime.shutdown_background();
         copied?;
         rustix::stdio::dup2_stdin(File::open(&path)?)?;

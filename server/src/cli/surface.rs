@@ -1,4 +1,4 @@
-//! Options of a surface and of its file, which all commands that make files have.
+//! Options of a surface and of its file, shared by all commands that make files.
 
 use std::fs::File;
 use std::io::{self, Read};
@@ -10,7 +10,7 @@ use isopeel_view::{ChosenPartsJson, Edit, InterestJson, Outward, TransferFunctio
 
 use crate::export::{Compress, FileOptions, FileRequest, Format, SurfaceOptions};
 
-/// Maximum bytes of a transfer function's file; 64 points take some 4 KiB.
+/// Maximum bytes of the file of a transfer function. 64 points take about 4 KiB.
 const MAX_TRANSFER_FUNCTION_BYTES: u64 = 1 << 20;
 
 /// Options of a surface and of its file. What is left out has the default of all exports.
@@ -168,21 +168,21 @@ pub struct SurfaceArgs {
     pub(super) allow_empty: bool,
 }
 
-/// A transfer function's file that cannot be read.
+/// The file of a transfer function cannot be read.
 #[derive(Debug, thiserror::Error)]
 #[error("transfer function {}", path.display())]
 pub struct TransferFunctionError {
-    /// The file.
+    /// Path of the file.
     path: PathBuf,
-    /// Why not.
+    /// Error of the system, or of parsing the JSON.
     source: io::Error,
 }
 
 impl SurfaceArgs {
-    /// Returns the request of the arguments.
+    /// Converts the arguments to a request.
     ///
     /// # Errors
-    /// The transfer function's file cannot be read.
+    /// The file of the transfer function cannot be read.
     pub(super) fn request(&self, format: Format, step: u32) -> Result<FileRequest, TransferFunctionError> {
         let transfer_function = self.transfer_function.as_deref().map(read_transfer_function);
         let edit = Edit {
@@ -222,18 +222,18 @@ impl SurfaceArgs {
         Ok(FileRequest { step, options, edit })
     }
 
-    /// Paths of other volumes that surfaces are of.
+    /// Returns the paths of the other volumes that `--surface` names.
     pub(super) fn other_volumes(&self) -> impl Iterator<Item = &str> {
         self.surfaces
             .iter()
             .filter_map(|surface| surface.look.volume.as_deref())
     }
 
-    /// The parts that are hidden or kept.
+    /// Returns the positions of `--hide-part` or `--keep-part`.
     pub(super) fn parts(&self) -> Option<ChosenPartsJson> {
-        let given = |positions: &Vec<_>| (!positions.is_empty()).then(|| positions.clone());
-        let hide = given(&self.hide_part).map(ChosenPartsJson::Hide);
-        hide.or_else(|| given(&self.keep_part).map(ChosenPartsJson::Keep))
+        let non_empty = |positions: &Vec<_>| (!positions.is_empty()).then(|| positions.clone());
+        let hide = non_empty(&self.hide_part).map(ChosenPartsJson::Hide);
+        hide.or_else(|| non_empty(&self.keep_part).map(ChosenPartsJson::Keep))
     }
 }
 
@@ -255,7 +255,7 @@ fn read_transfer_function(path: &Path) -> Result<TransferFunctionJson, TransferF
     })
 }
 
-/// Names of fields and expressions in a list.
+/// Splits a list of names and expressions at commas outside parentheses.
 fn names(list: &str) -> Vec<String> {
     arguments(list).into_iter().map(str::to_owned).collect()
 }

@@ -63,14 +63,14 @@ enum Command {
     },
 }
 
-/// Why a token was not made, listed or revoked.
+/// Why the command has failed.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum CommandError {
-    /// No folder is named.
+    /// No state folder is given.
     #[error("expected --state-folder DIR, the folder that the server is started with")]
     NoFolder,
-    /// The folder cannot be used.
+    /// The state folder cannot be used.
     #[error(transparent)]
     Folder(#[from] StateFolderError),
     /// The tokens cannot be read or changed.
@@ -90,12 +90,12 @@ pub fn run(args: &Args) -> Result<(), CommandError> {
     let file = TokenFile::in_folder(&StateFolder::prepare(folder, args.folder_access)?);
     match &args.command {
         Command::Create { user, role, expires } => {
-            let (token, made) = file.create(NewToken {
+            let (token, entry) = file.create(NewToken {
                 user: user.clone(),
                 roles: role.clone().into(),
                 lifetime: *expires,
             })?;
-            eprintln!("isopeel: {}", line(&made, now()));
+            eprintln!("isopeel: {}", line(&entry, now()));
             if role.contains(&Role::Push) {
                 eprintln!("isopeel: the role push is for nothing: this server takes no time steps that are sent to it");
             }
@@ -118,7 +118,7 @@ pub fn run(args: &Args) -> Result<(), CommandError> {
     Ok(())
 }
 
-/// A token in a list, without its hashes.
+/// A token in the JSON of a list, without its hashes.
 #[derive(Serialize)]
 struct Listed<'a> {
     id: &'a str,
@@ -140,7 +140,7 @@ impl<'a> Listed<'a> {
     }
 }
 
-/// A token on a line.
+/// Formats a token as a line of a list.
 fn line(token: &NamedToken, now: u64) -> String {
     let expires = match token.expires {
         None => "until it is revoked".to_owned(),
@@ -154,15 +154,16 @@ fn line(token: &NamedToken, now: u64) -> String {
     )
 }
 
-/// Units of a span of time, and their seconds.
+/// Units of time, and their lengths in seconds.
 const UNITS: [(&str, u64); 4] = [("d", 86_400), ("h", 3_600), ("m", 60), ("s", 1)];
 
-/// A span of time in its largest unit that fills it.
+/// Formats a time in the largest unit that is not longer than the time.
 fn span(seconds: u64) -> String {
     let (unit, size) = UNITS.into_iter().find(|&(_, size)| seconds >= size).unwrap_or(("s", 1));
     format!("{} {unit}", seconds / size)
 }
 
+/// Parses a time such as `30d`.
 pub(super) fn lifetime(text: &str) -> Result<Duration, String> {
     let refuse = || format!("{text:?}, expected a number and d, h, m or s, such as 30d");
     let units = UNITS.into_iter();

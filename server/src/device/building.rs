@@ -1,4 +1,4 @@
-//! The check of a device in a child process, and child processes that compile programs ahead of it.
+//! The child process that checks a device, and the builders: child processes that compile its programs ahead of the check.
 
 use std::thread::available_parallelism;
 
@@ -8,7 +8,8 @@ use super::child::{Message, Request};
 use super::run::{Ended, Environment, Running};
 use super::setup::{TYPES, Workaround, type_name};
 
-/// Stages that a first surface needs. The check compiles them in the order of need, so builders begin with those that it needs last.
+/// Stages that a first surface needs, in the order in which builders compile them. The check compiles the same stages in the order of the
+/// pipeline, so builders begin at the other end.
 const FIRST_STAGES: [&str; 7] = [
     "dual",
     "classify",
@@ -19,7 +20,7 @@ const FIRST_STAGES: [&str; 7] = [
     "minmax",
 ];
 
-/// Maximum concurrent compiler processes. More would only wait, because drivers of GPUs let processes open a device one after another.
+/// Maximum number of builders. More would only wait, because GPU drivers let only one process at a time open a device.
 const MAX_BUILDERS: usize = 4;
 
 /// Names of the sample types to check.
@@ -27,15 +28,15 @@ const MAX_BUILDERS: usize = 4;
 pub(super) struct Types {
     /// Sample types that a first surface needs.
     first: Vec<String>,
-    /// Sample types that are checked after the first ones: that of computed fields, and those of volumes that may be opened later.
+    /// Sample types that are checked after `first`: the type of computed fields, and types of volumes that may be opened later.
     later: Vec<String>,
 }
 
 impl Types {
-    /// `all`: whether to check the other sample types too, after the wanted ones.
+    /// Lists the `wanted` types as first. The later types are that of computed fields and, if `all` is set, every other type.
     pub(super) fn new(wanted: &[SampleType], all: bool) -> Self {
         let computed = type_name(SampleType::F32);
-        let mut first: Vec<_> = wanted.iter().map(|&one| type_name(one).to_owned()).collect();
+        let mut first: Vec<_> = wanted.iter().map(|&wanted| type_name(wanted).to_owned()).collect();
         first.sort();
         first.dedup();
         if first.is_empty() {
@@ -54,29 +55,29 @@ impl Types {
         [&self.first[..], &self.later].concat()
     }
 
-    /// Stage and type of all programs, in the order of need.
+    /// Returns stage and sample type of each program, most urgent first.
     fn programs(&self) -> Vec<(String, String)> {
         let others: Vec<_> = Engine::stages().filter(|stage| !FIRST_STAGES.contains(stage)).collect();
-        let of = |stages: &[&str], types: &[String]| {
+        let pairs_of = |stages: &[&str], types: &[String]| {
             let pairs = stages
                 .iter()
-                .flat_map(|stage| types.iter().map(|one| ((*stage).to_owned(), one.clone())));
+                .flat_map(|stage| types.iter().map(|name| ((*stage).to_owned(), name.clone())));
             pairs.collect::<Vec<_>>()
         };
         [
-            of(&FIRST_STAGES, &self.first),
-            of(&others, &self.first),
-            of(&FIRST_STAGES, &self.later),
-            of(&others, &self.later),
+            pairs_of(&FIRST_STAGES, &self.first),
+            pairs_of(&others, &self.first),
+            pairs_of(&FIRST_STAGES, &self.later),
+            pairs_of(&others, &self.later),
         ]
         .concat()
     }
 }
 
-/// A child that runs the check, and others that compile what it needs next.
+/// A child that runs the check, and builders that compile the programs that the check needs next.
 pub(super) struct Building {
     check: Running,
-    /// Children that compile ahead of the check. They are dropped together with it, which ends them.
+    /// Builders. Dropping `Building` ends them together with the check.
     builders: Vec<Running>,
 }
 
@@ -98,10 +99,10 @@ impl Building {
             .map_or(1, |count| count.get() - 1)
             .clamp(1, MAX_BUILDERS);
         let mut shares = vec![Vec::new(); builders];
-        for (at, program) in types.programs().into_iter().enumerate() {
-            shares[at % builders].push(program);
+        for (i, program) in types.programs().into_iter().enumerate() {
+            shares[i % builders].push(program);
         }
-        // A builder that cannot be started is left out: the check then compiles those programs itself.
+        // A builder that cannot be started is not an error: the check then compiles those programs itself.
         let started = shares.into_iter().filter_map(|programs| {
             let request = Request::Build {
                 index: device.index,
@@ -116,9 +117,9 @@ impl Building {
         })
     }
 
-    /// Forwards the messages of the check until it ends; if `early`, until a first surface can be made. The children then continue with low
-    /// priority.
-    pub(super) fn follow(&mut self, early: bool, hear: &dyn Fn(Message)) -> Result<(), Ended> {
+    /// Passes the messages of the check to `on_message` until the check ends. If `early`, returns as soon as a first surface can be made;
+    /// the children then continue with low priority.
+    pub(super) fn follow(&mut self, early: bool, on_message: &dyn Fn(Message)) -> Result<(), Ended> {
         while let Some(message) = self.check.next()? {
             match message {
                 Message::FirstSurface if early => {
@@ -126,7 +127,7 @@ impl Building {
                     children.for_each(Running::lower_priority);
                     return Ok(());
                 }
-                message => hear(message),
+                message => on_message(message),
             }
         }
         Ok(())

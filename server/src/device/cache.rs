@@ -1,4 +1,4 @@
-//! The folder of this user's compiled kernels and of verdicts on devices.
+//! The cache folder of this user: compiled kernels, and verdicts on devices.
 
 use std::path::{Path, PathBuf};
 
@@ -17,29 +17,29 @@ const DRIVERS: [(&str, &str); 3] = [
     ("MESA_SHADER_CACHE_DIR", "mesa"),
 ];
 
-/// The variable of PoCL.
+/// Environment variable that sets where PoCL caches compiled kernels.
 const POCL: &str = "POCL_CACHE_DIR";
 
-/// Minimum free bytes on the disk of a kernel cache when the process starts: more than the kernels of one device need.
+/// Minimum free bytes on the disk of a kernel cache when the process starts. The kernels of one device need less.
 const START_BYTES: u64 = 64 << 20;
 
 /// Minimum free bytes on that disk before another program is compiled.
 const MIN_BYTES: u64 = 4 << 20;
 
-/// A path that the environment names.
+/// Returns the path in an environment variable; `None` if the variable is unset or empty.
 fn path(name: &str) -> Option<PathBuf> {
     let value = std::env::var_os(name).filter(|value| !value.is_empty());
     value.map(PathBuf::from)
 }
 
-/// Returns the folder: `ISOPEEL_KERNEL_CACHE`, else `isopeel` in the user's cache folder. `None` if the user has none.
+/// Returns the cache folder: `ISOPEEL_KERNEL_CACHE`, or else `isopeel` in the user's cache folder. `None` if the environment names neither.
 pub fn folder() -> Option<PathBuf> {
     path(VARIABLE)
         .or_else(|| path("XDG_CACHE_HOME").map(|cache| cache.join("isopeel")))
         .or_else(|| path("HOME").map(|home| home.join(".cache/isopeel")))
 }
 
-/// Folders in which drivers cache compiled kernels: environment variables to set, and a warning if PoCL's own folder is unusable.
+/// Folders in which drivers cache compiled kernels.
 pub struct DriverFolders {
     /// Environment variables to set, and their values.
     pub variables: Vec<(&'static str, PathBuf)>,
@@ -48,7 +48,7 @@ pub struct DriverFolders {
 }
 
 impl DriverFolders {
-    /// Logs what is wrong, if anything is.
+    /// Logs the warning, if there is one.
     pub fn warn(&self) {
         if let Some(warning) = &self.warning {
             tracing::warn!("{warning}");
@@ -56,11 +56,13 @@ impl DriverFolders {
     }
 }
 
-/// Chooses the folders in which drivers cache compiled kernels: below `ISOPEEL_KERNEL_CACHE` if that is set, unless the driver's own
-/// variable is set too. PoCL ends the process if it cannot write its kernels, so its folder is checked, and replaced by a temporary one if
-/// it is unusable.
+/// Chooses the folders in which drivers cache compiled kernels. They are subfolders of `ISOPEEL_KERNEL_CACHE` if that variable is set,
+/// except for drivers whose own variable is set.
+///
+/// Checks the folder of PoCL, because PoCL aborts the process if it cannot write its kernels. If the folder is unusable, a temporary folder
+/// replaces it.
 pub fn driver_folders() -> DriverFolders {
-    let mut variables = below_ours();
+    let mut variables = default_variables();
     let warning = match pocl_folder().map(|folder| (check(&folder, START_BYTES), folder)) {
         Some((Ok(()), _)) => None,
         Some((Err(why), folder)) => Some(format!("{}: {why}", folder.display())),
@@ -95,45 +97,46 @@ pub fn check_space() -> Result<(), String> {
             tracing::error!(folder = %folder.display(), free, "no space for compiled kernels, expected {MIN_BYTES} bytes");
             Err("the disk has no space for compiled kernels, the server's log says where".to_owned())
         }
-        // If the folder was removed, it is created again.
+        // An error is ignored: PoCL creates a folder that was removed again.
         _ => Ok(()),
     }
 }
 
-/// Returns the drivers' variables that are not set, each with its subfolder of [`VARIABLE`]; empty if [`VARIABLE`] is not set.
-fn below_ours() -> Vec<(&'static str, PathBuf)> {
+/// Returns the variables in [`DRIVERS`] that are not set, each with its subfolder of the cache folder. Returns none if [`VARIABLE`] is not
+/// set.
+fn default_variables() -> Vec<(&'static str, PathBuf)> {
     if std::env::var_os(VARIABLE).is_none() {
         return Vec::new();
     }
     let Some(folder) = folder() else { return Vec::new() };
     let unset = DRIVERS.into_iter().filter(|(name, _)| std::env::var_os(name).is_none());
-    unset.map(|(name, below)| (name, folder.join(below))).collect()
+    unset.map(|(name, subfolder)| (name, folder.join(subfolder))).collect()
 }
 
-/// Returns the folder in which PoCL caches its kernels, according to the variables of this process's environment.
+/// Returns the folder in which PoCL caches its kernels in this process, by PoCL's own rules.
 pub(super) fn pocl_folder() -> Option<PathBuf> {
-    let ours = below_ours().into_iter().find(|(name, _)| *name == POCL);
+    let default = default_variables().into_iter().find(|(name, _)| *name == POCL);
     path(POCL)
-        .or(ours.map(|(_, folder)| folder))
+        .or(default.map(|(_, folder)| folder))
         .or_else(|| path("XDG_CACHE_HOME").map(|cache| cache.join("pocl/kcache")))
         .or_else(|| path("HOME").map(|home| home.join(".cache/pocl/kcache")))
 }
 
-/// Returns a folder among the temporary files that only this user may use.
+/// Returns a folder for temporary files that only this user can access. Creates the folder if it does not exist.
 pub(super) fn spare_folder() -> Result<PathBuf, String> {
     let user = rustix::process::geteuid().as_raw();
     let folder = std::env::temp_dir().join(format!("isopeel-kernels-{user}"));
     check_spare(&folder).map(|()| folder)
 }
 
-/// As [`check`], for a folder with a predictable name among the files of all users: it must not be another user's symbolic link, and no
-/// other user may even read it.
+/// Checks a folder as [`check`] does, with stricter rules. Its name is predictable, and all users can write to its parent, so it must not
+/// be a symbolic link, and other users must not have any access.
 fn check_spare(folder: &Path) -> Result<(), String> {
     use std::os::unix::fs::MetadataExt;
     check(folder, START_BYTES)?;
-    let found = std::fs::symlink_metadata(folder).map_err(|error| error.to_string())?;
-    if !found.is_dir() || found.mode() & 0o077 != 0 {
-        let mode = found.mode() & 0o7777;
+    let metadata = std::fs::symlink_metadata(folder).map_err(|error| error.to_string())?;
+    if !metadata.is_dir() || metadata.mode() & 0o077 != 0 {
+        let mode = metadata.mode() & 0o7777;
         return Err(format!(
             "expected a folder with mode 0700 and no link, found mode {mode:04o}"
         ));
@@ -141,35 +144,35 @@ fn check_spare(folder: &Path) -> Result<(), String> {
     Ok(())
 }
 
-/// Checks that a folder can cache kernels, and creates it if it does not exist. Other users must not be able to write to it, because its
-/// kernels are executed.
+/// Checks that a folder can cache kernels. Creates the folder if it does not exist. Other users must not be able to write to the folder,
+/// because this process executes the kernels in it.
 fn check(folder: &Path, min_bytes: u64) -> Result<(), String> {
     use std::os::unix::fs::MetadataExt;
-    let say = |error: std::io::Error| error.to_string();
-    private_folder::make(folder).map_err(say)?;
-    let found = std::fs::metadata(folder).map_err(say)?;
+    let text = |error: std::io::Error| error.to_string();
+    private_folder::make(folder).map_err(text)?;
+    let metadata = std::fs::metadata(folder).map_err(text)?;
     let user = rustix::process::geteuid().as_raw();
-    if found.uid() != user {
-        return Err(format!("it belongs to user {}, expected {user}", found.uid()));
+    if metadata.uid() != user {
+        return Err(format!("it belongs to user {}, expected {user}", metadata.uid()));
     }
-    if found.mode() & 0o022 != 0 {
-        let mode = found.mode() & 0o7777;
+    if metadata.mode() & 0o022 != 0 {
+        let mode = metadata.mode() & 0o7777;
         return Err(format!(
             "others may write there (mode {mode:04o}), and what is there is run: chmod go-w"
         ));
     }
-    let disk = rustix::fs::statvfs(folder).map_err(|error| say(error.into()))?;
-    check_disk(disk.f_flag)?;
-    let mut file = tempfile::tempfile_in(folder).map_err(say)?;
-    std::io::Write::write_all(&mut file, &[0; 4096]).map_err(say)?;
-    let free = free_bytes(folder).map_err(say)?;
+    let disk = rustix::fs::statvfs(folder).map_err(|error| text(error.into()))?;
+    check_mount_flags(disk.f_flag)?;
+    let mut file = tempfile::tempfile_in(folder).map_err(text)?;
+    std::io::Write::write_all(&mut file, &[0; 4096]).map_err(text)?;
+    let free = free_bytes(folder).map_err(text)?;
     if free < min_bytes {
         return Err(format!("it has {free} bytes free, expected {min_bytes}"));
     }
     Ok(())
 }
 
-fn check_disk(flags: StatVfsMountFlags) -> Result<(), String> {
+fn check_mount_flags(flags: StatVfsMountFlags) -> Result<(), String> {
     match flags.contains(StatVfsMountFlags::NOEXEC) {
         true => Err("its disk is mounted with noexec, and kernels are loaded as libraries".to_owned()),
         false => Ok(()),
@@ -200,7 +203,11 @@ mod tests {
         assert!(check_spare(&link).unwrap_err().contains("no link"));
         std::fs::set_permissions(&folder, PermissionsExt::from_mode(0o750)).unwrap();
         assert!(check_spare(&folder).unwrap_err().contains("found mode 0750"));
-        assert!(check_disk(StatVfsMountFlags::NOEXEC).unwrap_err().contains("noexec"));
+        assert!(
+            check_mount_flags(StatVfsMountFlags::NOEXEC)
+                .unwrap_err()
+                .contains("noexec")
+        );
         let file = parent.path().join("file");
         std::fs::write(&file, "").unwrap();
         assert!(check(&file.join("below"), 1).is_err());

@@ -1,5 +1,6 @@
-//! What a child process does with a driver: it lists devices, builds programs, or checks a device. It reports each step that it begins to
-//! its parent as a line of JSON on standard output, so that a crash or a hang can be attributed to a step.
+//! The side of the child process: it lists devices, builds programs, or checks a device.
+//!
+//! The child writes a line of JSON to standard output before each step, so that its parent can attribute a crash or a hang to a step.
 
 use std::io::Write;
 
@@ -38,7 +39,7 @@ pub enum Request {
     },
 }
 
-/// A line that a child writes.
+/// A message of a child to its parent: a line of JSON.
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Message {
@@ -53,23 +54,23 @@ pub enum Message {
         /// Steps in all.
         of: usize,
     },
-    /// A step has passed. These programs were built so far.
+    /// A step has passed.
     Passed {
-        /// Names of the programs, as [`Engine::programs`] returns them.
+        /// Names of all programs that were built so far, as [`Engine::programs`] returns them.
         programs: Vec<String>,
     },
     /// Everything that a first surface needs has passed.
     FirstSurface,
     /// The request is complete.
     Done,
-    /// An error that a retry would not cure.
+    /// A permanent error: a retry would fail too.
     Wrong {
-        /// The whole sentence.
+        /// Message for users.
         text: String,
     },
-    /// An error of the device whose cause may be gone at the next attempt.
+    /// An error of the device that may be temporary: a retry may succeed.
     Failed {
-        /// The whole sentence.
+        /// Message for users.
         text: String,
     },
 }
@@ -135,29 +136,29 @@ impl From<Description> for DeviceInfo {
     }
 }
 
-/// Does what the parent asks for.
+/// Runs a request of the parent, and reports to the parent.
 ///
 /// # Errors
-/// Standard output is closed. What a driver says goes to the parent.
+/// Standard output is closed. Errors of a driver are messages to the parent instead.
 pub fn run(request: &Request) -> Result<(), BoxError> {
     match request {
         Request::List => match isopeel_kernels::device::list() {
             Ok(devices) => {
                 for device in devices {
-                    say(&Message::Device(device.into()))?;
+                    send(&Message::Device(device.into()))?;
                 }
-                say(&Message::Done)
+                send(&Message::Done)
             }
-            Err(error) => say(&Message::Wrong { text: chain(&error) }),
+            Err(error) => send(&Message::Wrong { text: chain(&error) }),
         },
         Request::Build {
             index,
             workaround,
             programs,
         } => {
-            // The error is ignored: the check reports what is wrong with a program, and which workaround helps.
+            // An error is ignored, because the check builds the same program and reports the error.
             let _ = build(*index, *workaround, programs);
-            say(&Message::Done)
+            send(&Message::Done)
         }
         Request::Check {
             index,
@@ -168,8 +169,8 @@ pub fn run(request: &Request) -> Result<(), BoxError> {
     }
 }
 
-fn say(message: &Message) -> Result<(), BoxError> {
-    // Begins with a line break, because a driver may have written the start of a line.
+fn send(message: &Message) -> Result<(), BoxError> {
+    // The first line break ends a line that the driver may have begun.
     let line = format!("\n{}\n", serde_json::to_string(message)?);
     let mut out = std::io::stdout().lock();
     out.write_all(line.as_bytes())?;
@@ -194,31 +195,31 @@ fn build(index: usize, workaround: Workaround, programs: &[(String, String)]) ->
     known.try_for_each(|(stage, sample_type)| engine.build_stage(stage, sample_type))
 }
 
-/// Checks first what a first surface needs, then the rest.
+/// Checks the device: first all that a first surface needs, then the rest. Stops at the first error.
 fn check(index: usize, workaround: Workaround, first: &[String], later: &[String]) -> Result<(), BoxError> {
     let of = STEPS.len() * (first.len() + later.len());
     let mut done = 0;
     let mut begin = |stage: &str| {
         done += 1;
-        say(&Message::Begin {
+        send(&Message::Begin {
             stage: stage.to_owned(),
             done: done - 1,
             of,
         })
     };
-    say(&Message::Begin {
+    send(&Message::Begin {
         stage: "open".to_owned(),
         done: 0,
         of,
     })?;
     let engine = match open(index, workaround) {
         Ok(engine) => engine,
-        // Another process may occupy the device for now.
-        Err(error) => return say(&failure(chain(&error), may_pass(&error))),
+        // The error is temporary if another process occupies the device.
+        Err(error) => return send(&failure(chain(&error), may_be_temporary(&error))),
     };
     let checks = |names| {
         sample_types(names)
-            .map(|one| Check::new(&engine, one))
+            .map(|sample_type| Check::new(&engine, sample_type))
             .collect::<Vec<_>>()
     };
     let (mut first, mut later) = (checks(first), checks(later));
@@ -227,11 +228,11 @@ fn check(index: usize, workaround: Workaround, first: &[String], later: &[String
             for step in STEPS.iter().filter(|step| step.scope == scope) {
                 begin(step.stage)?;
                 if let Err(error) = check.run(step) {
-                    let is_temporary = matches!(&error, CheckError::Failed { source, .. } if may_pass(source));
-                    say(&failure(text_of(&error), is_temporary))?;
+                    let is_temporary = matches!(&error, CheckError::Failed { source, .. } if may_be_temporary(source));
+                    send(&failure(text_of(&error), is_temporary))?;
                     return Ok(false);
                 }
-                say(&Message::Passed {
+                send(&Message::Passed {
                     programs: engine.programs(),
                 })?;
             }
@@ -241,13 +242,12 @@ fn check(index: usize, workaround: Workaround, first: &[String], later: &[String
     if !run(&mut first, Scope::FirstSurface)? {
         return Ok(());
     }
-    say(&Message::FirstSurface)?;
-    let all_right =
+    send(&Message::FirstSurface)?;
+    let has_passed =
         run(&mut first, Scope::Rest)? && run(&mut later, Scope::FirstSurface)? && run(&mut later, Scope::Rest)?;
-    if all_right { say(&Message::Done) } else { Ok(()) }
+    if has_passed { send(&Message::Done) } else { Ok(()) }
 }
 
-/// Returns the message for an error.
 fn failure(text: String, is_temporary: bool) -> Message {
     if is_temporary {
         Message::Failed { text }
@@ -256,12 +256,12 @@ fn failure(text: String, is_temporary: bool) -> Message {
     }
 }
 
-/// Whether an error may have a temporary cause: the device was lost or out of memory, perhaps because of other processes.
-fn may_pass(error: &Error) -> bool {
+/// Whether an error may be temporary: the device was lost or out of memory, perhaps because of other processes.
+fn may_be_temporary(error: &Error) -> bool {
     matches!(error, Error::Launch { .. } | Error::OutOfDeviceMemory { .. })
 }
 
-/// Returns an error's chain, with a compiler's log shortened to its first lines.
+/// Returns the messages of an error and of its sources. A long text, such as the log of a compiler, is cut to its first lines.
 fn text_of(error: &CheckError) -> String {
     const LINES: usize = 6;
     let text = chain(error);

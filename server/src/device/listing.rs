@@ -1,4 +1,4 @@
-//! Devices of this machine, listed by child processes: a driver that crashes or hangs does not hide the others.
+//! Lists the devices of this machine in child processes, so that a driver that crashes or hangs does not hide the devices of other drivers.
 
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -10,7 +10,7 @@ use super::child::{Message, Request};
 use super::run::{Ended, Environment, Running};
 use crate::private_folder;
 
-/// Environment variable that names the drivers to the OpenCL loader: a folder of `.icd` files.
+/// Environment variable that tells the OpenCL loader the folder of `.icd` files. Each file names a driver.
 const VENDORS: &str = "OCL_ICD_VENDORS";
 
 /// Default value of [`VENDORS`].
@@ -21,9 +21,9 @@ const DEFAULT_VENDORS: &str = "/etc/OpenCL/vendors";
 pub struct Listed {
     /// Devices, the preferred one first.
     pub devices: Vec<DeviceInfo>,
-    /// Drivers that crashed or hung, and are left out.
+    /// Drivers that crashed or hung. Their devices are not listed.
     pub broken: Vec<Unlisted>,
-    /// Environment variables with which a process sees these devices, but not the broken drivers.
+    /// Environment variables with which a process sees `devices`, but not the broken drivers.
     pub environment: Vec<(String, String)>,
     /// Why there are no devices, in the words of the loader or the drivers.
     pub why_none: Option<String>,
@@ -41,14 +41,16 @@ impl Listed {
 /// A driver that could not be queried.
 #[derive(Debug)]
 pub struct Unlisted {
-    /// Its `.icd` file.
+    /// The `.icd` file that names the driver.
     pub icd: PathBuf,
-    /// What it did.
+    /// How the child process that queried the driver ended.
     pub why: String,
 }
 
-/// Lists the devices of all drivers. If listing them together crashes or hangs, each driver is queried in a process of its own. `folder`:
-/// receives the `.icd` files of the working drivers in that case; a folder of temporary files, if there is none or it cannot be written.
+/// Lists the devices of all drivers. If the child process that lists them crashes or hangs, queries each driver in a separate process.
+///
+/// In that case, `folder` receives the `.icd` files of the working drivers. A folder for temporary files replaces it if it is `None` or not
+/// writable.
 pub fn list(folder: Option<&Path>) -> Listed {
     match list_in(&Vec::new()) {
         Ok(devices) => Listed {
@@ -105,8 +107,8 @@ fn list_apart(folder: &Path) -> io::Result<Listed> {
     Ok(listed)
 }
 
-/// Checks that [`name_drivers`] can write to a folder, by writing a temporary file. Files from earlier prove nothing: the folder may have
-/// become read-only since, or its disk full.
+/// Checks that [`name_drivers`] can write to a folder, by writing a temporary file. Existing files do not prove that: the folder may have
+/// become read-only, or its disk full.
 fn check_writable(folder: &Path) -> io::Result<()> {
     let parent = drivers_in(folder);
     private_folder::make(&parent)?;
@@ -117,24 +119,26 @@ fn drivers_in(folder: &Path) -> PathBuf {
     folder.join("drivers")
 }
 
-/// Makes a folder with the `.icd` files of only these drivers. It is named by a hash of them, and only once it is complete, so that other
-/// processes find it complete or not at all. Returns the environment that selects it.
+/// Makes a folder with the `.icd` files of only these drivers. Returns the environment that makes the OpenCL loader use this folder.
+///
+/// The name of the folder is a hash of the files. The folder gets its name by a rename when it is complete, so that other processes never
+/// see a part of it.
 fn name_drivers(folder: &Path, icds: &[PathBuf]) -> io::Result<Environment> {
     let texts: io::Result<Vec<_>> = icds.iter().map(std::fs::read).collect();
-    let named: Vec<_> = icds.iter().zip(texts?).collect();
-    let hash = xxhash_rust::xxh3::xxh3_64(format!("{named:?}").as_bytes());
+    let files: Vec<_> = icds.iter().zip(texts?).collect();
+    let hash = xxhash_rust::xxh3::xxh3_64(format!("{files:?}").as_bytes());
     let (parent, name) = (drivers_in(folder), format!("{hash:016x}"));
     let complete = parent.join(&name);
     if !complete.exists() {
         private_folder::make(&parent)?;
         let draft = tempfile::tempdir_in(&parent)?;
-        for (icd, text) in named {
+        for (icd, text) in files {
             if let Some(name) = icd.file_name() {
                 std::fs::write(draft.path().join(name), text)?;
             }
         }
         match std::fs::rename(draft.path(), &complete) {
-            // Another process has made it meanwhile.
+            // Another process has made the same folder meanwhile.
             Err(_) if complete.exists() => {}
             renamed => renamed?,
         }
@@ -142,10 +146,10 @@ fn name_drivers(folder: &Path, icds: &[PathBuf]) -> io::Result<Environment> {
     Ok(vec![(VENDORS.to_owned(), complete.display().to_string())])
 }
 
-/// Returns the readable `.icd` files, each of which names a driver.
+/// Returns the paths of all readable `.icd` files.
 fn icd_files() -> Vec<PathBuf> {
-    let named = std::env::var_os(VENDORS).map(PathBuf::from);
-    let path = named.unwrap_or_else(|| DEFAULT_VENDORS.into());
+    let configured = std::env::var_os(VENDORS).map(PathBuf::from);
+    let path = configured.unwrap_or_else(|| DEFAULT_VENDORS.into());
     let is_icd = |path: &PathBuf| path.extension().is_some_and(|extension| extension == "icd");
     let mut files: Vec<_> = match std::fs::read_dir(&path) {
         Ok(entries) => entries.flatten().map(|entry| entry.path()).filter(is_icd).collect(),

@@ -1,13 +1,13 @@
 //! Selection of the device, and the check that it computes correctly.
 //!
-//! Drivers crash, hang and compile kernels wrongly. So this process does not list devices, and does not try unknown ones: child processes
-//! ([`child`]) do both. One child checks each combination of device, driver version and isopeel version at its first use. Other children
-//! compile its kernels at the same time, and the drivers cache them on disk. Verdicts are stored ([`verdicts`]).
+//! Drivers crash, hang and compile kernels wrongly. So child processes ([`child`]) list the devices and check unknown ones; this process
+//! does neither. A combination of device, driver version and isopeel version is checked at its first use. Meanwhile other children compile
+//! the kernels, and the drivers cache them on disk. Verdicts are stored ([`verdicts`]).
 //!
-//! - [`setup`]: ways to use a device, the workarounds among them.
-//! - [`child`]: what a child process does; [`run`]: how its parent sees it.
-//! - [`building`]: the check in a child process, and the builders beside it.
-//! - [`prepare`]: selects a device and checks it; [`proven`]: programs that have passed a check that is still running.
+//! - [`setup`]: identity of a device, and workarounds for driver faults.
+//! - [`child`]: the side of the child process; [`run`]: the side of its parent.
+//! - [`building`]: the child that checks a device, and the children that compile its kernels.
+//! - [`prepare`]: selects a device and checks it; [`proven`]: programs that have passed while the check still runs.
 //! - [`cache`]: the folder of compiled kernels and verdicts.
 
 mod building;

@@ -1,4 +1,4 @@
-//! Selects a device, and checks it unless it has passed before.
+//! Selects a device, and checks the device unless it has passed the check before.
 
 use std::collections::VecDeque;
 use std::path::PathBuf;
@@ -13,7 +13,7 @@ use super::run::{Ended, Environment};
 use super::setup::{DeviceId, Workaround};
 use super::verdicts::Verdicts;
 
-/// Environment variable in which a process passes its choice to the process that replaces it. That process then skips the check.
+/// Environment variable with the choice of a process, for the process that replaces it. The new process then skips the check.
 const CHOSEN: &str = "ISOPEEL_DEVICE_CHOSEN";
 
 /// Requirements on a device.
@@ -23,12 +23,12 @@ pub struct DeviceRequirements {
     pub selector: Option<String>,
     /// Sample types that the device must support.
     pub types: Vec<SampleType>,
-    /// Whether the device is used without a check.
+    /// Whether to use the device without a check.
     pub trusts: bool,
-    /// Whether to return when a first surface can be made, and check the rest in the background. The rest includes all sample types,
-    /// because volumes of other types may be opened later.
+    /// Whether to return as soon as a first surface can be made, and finish the check in the background. The background check includes all
+    /// sample types, because volumes of other types may be opened later.
     pub early: bool,
-    /// Folder of verdicts; `None`: verdicts are not stored.
+    /// Folder for verdicts; `None`: verdicts are not stored.
     pub folder: Option<PathBuf>,
 }
 
@@ -36,9 +36,9 @@ pub struct DeviceRequirements {
 pub struct Prepared {
     /// Selector of the device for [`Engine::open_tuned`].
     pub selector: Option<String>,
-    /// How its kernels are built and launched; `None`: by default.
+    /// Settings with which kernels are built and launched; `None`: the defaults of the device.
     pub tuning: Option<Tuning>,
-    /// The rest of the check, which still runs.
+    /// The rest of the check, if it still runs.
     pub rest: Option<PendingCheck>,
 }
 
@@ -54,7 +54,7 @@ pub enum Unprepared {
 /// Why no device is used.
 #[derive(Debug, thiserror::Error)]
 pub enum DeviceFailure {
-    /// No device is listed. The text is that of the loader, or of the process that listed the devices.
+    /// No device is listed. The text is the error of the loader, or of the process that lists devices.
     #[error("{0}")]
     Nothing(String),
     /// No device passed the check.
@@ -63,28 +63,29 @@ pub enum DeviceFailure {
          were tested), choose another device with --device, or use one all the same, at your own risk, with --device and --trust-device"
     )]
     Unreliable {
-        /// A line for each way to use a device that was tried.
+        /// One line for each device and workaround that was tried.
         report: String,
     },
 }
 
-/// A device that was checked, with each way to use it that was tried, and its outcome.
+/// The outcome of checking a device.
 #[derive(Clone, Debug)]
 pub struct Checked {
     /// The device.
     pub device: DeviceInfo,
-    /// Each way that was tried, with the failure of its check. A way that passed has `None`, and is the last one.
+    /// Workarounds in the order in which they were tried, each with the failure of its check. A workaround that passed has `None`, and is
+    /// the last one. [`Workaround::None`] is the first attempt.
     pub tried: Vec<(Workaround, Option<Ended>)>,
 }
 
 impl Checked {
-    /// Returns the way that passed, if any.
+    /// Returns the workaround with which the device passed; `None` if the device failed with all of them.
     pub fn passed(&self) -> Option<Workaround> {
         let (workaround, ended) = self.tried.last()?;
         ended.is_none().then_some(*workaround)
     }
 
-    /// Returns a line for each way that failed.
+    /// Returns one line for each workaround that failed.
     pub fn report(&self) -> String {
         let device = DeviceId::new(&self.device);
         let failed = self.tried.iter().filter_map(|(workaround, ended)| {
@@ -94,17 +95,18 @@ impl Checked {
         failed.collect::<Vec<_>>().join("\n")
     }
 
-    /// Whether it failed in all ways, none of them for a temporary cause.
+    /// Whether the device failed with all workarounds, and no failure may be temporary.
     fn is_refused(&self) -> bool {
-        let lasts = |ended: &Ended| !ended.is_temporary();
-        self.tried.iter().all(|(_, ended)| ended.as_ref().is_some_and(lasts))
+        let is_permanent = |ended: &Ended| !ended.is_temporary();
+        self.tried
+            .iter()
+            .all(|(_, ended)| ended.as_ref().is_some_and(is_permanent))
     }
 
-    /// Stores the verdict, or removes it if a failure has a temporary cause. A device is tried twice after such a failure, so that no
-    /// needless workaround is stored.
-    fn keep(&self, verdicts: &Verdicts, types: &Types) {
+    /// Stores the verdict: passed or refused. Removes the stored verdict if the device failed and a failure may be temporary.
+    fn store(&self, verdicts: &Verdicts, types: &Types) {
         let id = DeviceId::new(&self.device);
-        let kept = match self.passed() {
+        let stored = match self.passed() {
             Some(workaround) => verdicts.keep(&id, workaround, &types.all()),
             None if self.is_refused() => verdicts.refuse(&id, self.report(), &types.all()),
             None => {
@@ -112,7 +114,7 @@ impl Checked {
                 Ok(())
             }
         };
-        if let Err(error) = kept {
+        if let Err(error) = stored {
             tracing::warn!(
                 "the outcome of the check of {id} cannot be kept, so that the next start checks it again: {error}"
             );
@@ -130,18 +132,18 @@ impl Checked {
 
 /// A search for a device.
 struct Search {
-    /// Devices that are still to be tried, preferred first; those that an earlier start refused come last.
+    /// Devices that are not tried yet, preferred first. Devices with a stored refusal come last.
     candidates: VecDeque<DeviceInfo>,
-    /// Ways in which the first candidate was already tried.
+    /// Workarounds with which the first candidate was already tried.
     tried: Vec<(Workaround, Option<Ended>)>,
-    /// Reports of the devices that failed in this search.
+    /// Reports on the devices that failed in this search.
     refused: Vec<String>,
     types: Types,
     environment: Environment,
     verdicts: Verdicts,
 }
 
-/// A device that passed.
+/// The device that was selected, and how to use it.
 struct Selection {
     device: DeviceInfo,
     workaround: Workaround,
@@ -151,7 +153,8 @@ struct Selection {
 }
 
 impl Search {
-    /// Finds the first candidate that passes. `early`: a first surface suffices, and the rest of the check continues.
+    /// Returns the first candidate that passes. If `early`, returns as soon as a candidate can make a first surface; its check then
+    /// continues as `rest` of the selection.
     fn next(mut self, early: bool, progress: &dyn Fn(usize, usize)) -> Result<Selection, DeviceFailure> {
         while let Some(device) = self.candidates.pop_front() {
             let id = DeviceId::new(&device);
@@ -168,13 +171,13 @@ impl Search {
             let (checked, child) = check(&device, &self.types, &self.environment, early, tried, progress);
             let Some(workaround) = checked.passed() else {
                 tracing::warn!("{id} is not used:\n{}", checked.report());
-                checked.keep(&self.verdicts, &self.types);
+                checked.store(&self.verdicts, &self.types);
                 self.refused.push(checked.report());
                 continue;
             };
             checked.warn_of(workaround);
             let Some(child) = child else {
-                checked.keep(&self.verdicts, &self.types);
+                checked.store(&self.verdicts, &self.types);
                 return Ok(self.selected(device, workaround));
             };
             let (environment, tried) = (self.environment.clone(), checked.tried);
@@ -191,7 +194,7 @@ impl Search {
         Err(DeviceFailure::Unreliable { report })
     }
 
-    /// Moves devices that were refused at an earlier start behind the others, and says so.
+    /// Moves devices with a stored refusal behind the others, and logs a warning for each.
     fn try_refused_last(&mut self) {
         let types = self.types.all();
         let (mut others, mut refused) = (VecDeque::new(), Vec::new());
@@ -227,32 +230,40 @@ impl Search {
 /// The rest of a check that runs while a device is in use.
 pub struct PendingCheck {
     child: Building,
-    /// Continues if the check fails. Its first candidate is the device in use, and its last `tried` way is the one in use.
+    /// The search to resume if the check fails. Its first candidate is the device in use, and the last entry of `tried` is the workaround
+    /// in use.
     search: Search,
 }
 
 impl PendingCheck {
-    /// Waits for the end of the check, and stores the verdict. `passed` receives the programs that have passed.
+    /// Waits for the end of the check, and stores the verdict. Calls `on_passed` with the programs that have passed so far.
     ///
     /// # Errors
-    /// The check failed, so this process must not use the device any more. [`Unprepared::NewProcess`] if another way to use the device, or
-    /// another device, has passed the whole check.
-    pub fn wait(self, passed: &dyn Fn(Vec<String>)) -> Result<(), Unprepared> {
+    /// The check failed, so this process must not use the device any more. [`Unprepared::NewProcess`] if another device, or the same device
+    /// with another workaround, has passed the whole check.
+    pub fn wait(self, on_passed: &dyn Fn(Vec<String>)) -> Result<(), Unprepared> {
         let Self { mut child, mut search } = self;
-        let hear = |message| {
+        let on_message = |message| {
             if let Message::Passed { programs } = message {
-                passed(programs);
+                on_passed(programs);
             }
         };
-        let mut ended = child.follow(false, &hear).err();
+        let mut ended = child.follow(false, &on_message).err();
         drop(child);
         let (Some(device), Some((workaround, outcome))) = (search.candidates.front(), search.tried.last_mut()) else {
             return Ok(());
         };
         if let Some(ended_by) = ended.as_ref().filter(|ended| ended.is_temporary()) {
             tracing::warn!("the check of {} is done once more: {ended_by}", device.name);
-            let again = try_once(device, &search.types, *workaround, &search.environment, false, &hear);
-            ended = again.err();
+            let retried = try_once(
+                device,
+                &search.types,
+                *workaround,
+                &search.environment,
+                false,
+                &on_message,
+            );
+            ended = retried.err();
         }
         *outcome = ended;
         if outcome.is_none() {
@@ -260,12 +271,12 @@ impl PendingCheck {
                 device: device.clone(),
                 tried: std::mem::take(&mut search.tried),
             };
-            checked.keep(&search.verdicts, &search.types);
+            checked.store(&search.verdicts, &search.types);
             return Ok(());
         }
         search.verdicts.forget(&DeviceId::new(device));
-        let found = search.next(false, &|_, _| ()).map_err(Unprepared::Failed)?;
-        Err(found.new_process())
+        let selection = search.next(false, &|_, _| ()).map_err(Unprepared::Failed)?;
+        Err(selection.new_process())
     }
 }
 
@@ -276,7 +287,8 @@ struct Chosen {
     workaround: Workaround,
 }
 
-/// Chooses a device: the selected one, or the first that passes the check. `progress`: steps done, and steps in all.
+/// Chooses a device: the one that the requirements select, or the first that passes the check. Calls `progress` with the number of steps
+/// done and the total number of steps.
 ///
 /// # Errors
 /// [`Unprepared`].
@@ -328,7 +340,7 @@ pub fn prepare(requirements: &DeviceRequirements, progress: &dyn Fn(usize, usize
         .prepared()
 }
 
-/// Checks all devices again, for a report.
+/// Checks all devices with all sample types, ignoring stored verdicts, and stores the new ones.
 pub fn check_all(folder: Option<PathBuf>, progress: &dyn Fn(usize, usize)) -> (Listed, Vec<Checked>) {
     let listed = list(folder.as_deref());
     let verdicts = Verdicts::new(folder.as_deref(), &listed.devices);
@@ -338,7 +350,7 @@ pub fn check_all(folder: Option<PathBuf>, progress: &dyn Fn(usize, usize)) -> (L
         checked
     });
     let checked: Vec<Checked> = checked.collect();
-    checked.iter().for_each(|one| one.keep(&verdicts, &types));
+    checked.iter().for_each(|device| device.store(&verdicts, &types));
     (listed, checked)
 }
 
@@ -352,7 +364,7 @@ fn nothing(listed: Listed) -> DeviceFailure {
         );
     }
     let broken = listed.broken.iter();
-    let broken = broken.map(|one| format!("  the driver of {}: {}", one.icd.display(), one.why));
+    let broken = broken.map(|driver| format!("  the driver of {}: {}", driver.icd.display(), driver.why));
     DeviceFailure::Unreliable {
         report: broken.collect::<Vec<_>>().join("\n"),
     }
@@ -363,11 +375,12 @@ fn candidates(requirements: &DeviceRequirements, listed: &Listed) -> VecDeque<De
     let Some(selector) = &requirements.selector else {
         return listed.devices.iter().cloned().collect();
     };
-    let found = isopeel_kernels::device::position(&listed.devices, selector);
-    found.map(|at| listed.devices[at].clone()).into_iter().collect()
+    let position = isopeel_kernels::device::position(&listed.devices, selector);
+    position.map(|i| listed.devices[i].clone()).into_iter().collect()
 }
 
-/// Tries the workarounds that were not `tried`, one after another. Returns the child if it continues with the rest of the check.
+/// Checks a device with one workaround after another, except those in `tried`, until the device passes. If `early`, a pass means that a
+/// first surface can be made; then also returns the children, which continue with the rest of the check.
 fn check(
     device: &DeviceInfo,
     types: &Types,
@@ -376,20 +389,20 @@ fn check(
     tried: Vec<(Workaround, Option<Ended>)>,
     progress: &dyn Fn(usize, usize),
 ) -> (Checked, Option<Building>) {
-    let is_new = |one: &Workaround| tried.iter().all(|(before, _)| before != one);
-    let workarounds: Vec<_> = Workaround::candidates(device).into_iter().filter(is_new).collect();
+    let is_untried = |workaround: &Workaround| tried.iter().all(|(before, _)| before != workaround);
+    let workarounds: Vec<_> = Workaround::candidates(device).into_iter().filter(is_untried).collect();
     let mut checked = Checked {
         device: device.clone(),
         tried,
     };
-    let hear = |message| {
+    let on_message = |message| {
         if let Message::Begin { done, of, .. } = message {
             progress(done, of);
         }
     };
     for workaround in workarounds {
-        let attempt = || try_once(device, types, workaround, environment, early, &hear);
-        // Tries again after a failure that may be temporary. Otherwise a workaround that is not needed would be stored.
+        let attempt = || try_once(device, types, workaround, environment, early, &on_message);
+        // Retries after a failure that may be temporary. Otherwise a needless workaround could pass and be stored.
         let outcome = attempt().or_else(|ended| match ended.is_temporary() {
             true => attempt(),
             false => Err(ended),
@@ -408,24 +421,24 @@ fn check(
     (checked, None)
 }
 
-/// Checks a device in one way, and returns the child. If `early`, returns as soon as a first surface can be made, and the child continues
-/// with the rest of the check.
+/// Checks a device with one workaround, and returns the children. If `early`, returns as soon as a first surface can be made; the children
+/// then continue with the rest of the check.
 fn try_once(
     device: &DeviceInfo,
     types: &Types,
     workaround: Workaround,
     environment: &Environment,
     early: bool,
-    hear: &dyn Fn(Message),
+    on_message: &dyn Fn(Message),
 ) -> Result<Building, Ended> {
     let mut environment = environment.clone();
-    environment.extend(pair(workaround.environment()));
+    environment.extend(to_owned_pair(workaround.environment()));
     let mut child = Building::start(device, types, workaround, &environment)?;
-    child.follow(early, hear)?;
+    child.follow(early, on_message)?;
     Ok(child)
 }
 
-fn pair(variable: Option<(&str, &str)>) -> Option<(String, String)> {
+fn to_owned_pair(variable: Option<(&str, &str)>) -> Option<(String, String)> {
     variable.map(|(name, value)| (name.to_owned(), value.to_owned()))
 }
 
@@ -433,15 +446,15 @@ impl Selection {
     /// Returns the device, if this process can open it.
     ///
     /// # Errors
-    /// [`Unprepared::NewProcess`], if the device needs environment variables that this process does not have; or the error of
-    /// [`PendingCheck::wait`].
+    /// [`Unprepared::NewProcess`] if the device needs environment variables that this process does not have. As [`PendingCheck::wait`] if
+    /// the rest of the check fails.
     fn prepared(mut self) -> Result<Prepared, Unprepared> {
         let mut needed = self
             .environment
             .iter()
             .cloned()
-            .chain(pair(self.workaround.environment()));
-        if needed.all(|(name, value)| std::env::var(name).is_ok_and(|now| now == value)) {
+            .chain(to_owned_pair(self.workaround.environment()));
+        if needed.all(|(name, value)| std::env::var(name).is_ok_and(|current| current == value)) {
             return Ok(Prepared {
                 selector: Some(self.device.index.to_string()),
                 tuning: self.workaround.tuning(&self.device),
@@ -455,10 +468,10 @@ impl Selection {
         Err(self.new_process())
     }
 
-    /// Returns the environment with which another process uses the device, without a check.
+    /// Returns the environment with which a new process uses the device without another check.
     fn new_process(self) -> Unprepared {
         let mut environment = self.environment;
-        environment.extend(pair(self.workaround.environment()));
+        environment.extend(to_owned_pair(self.workaround.environment()));
         let chosen = Chosen {
             index: self.device.index,
             workaround: self.workaround,
@@ -470,13 +483,13 @@ impl Selection {
     }
 }
 
-/// Returns the choice of the process that this one replaces.
+/// Returns the choice of the process that this one replaces, if there was one.
 fn chosen_before() -> Option<Chosen> {
     serde_json::from_str(&std::env::var(CHOSEN).ok()?).ok()
 }
 
 fn prepared_as(chosen: Chosen) -> Prepared {
-    // Listing in this process is safe: its environment leaves out the drivers that cannot be listed.
+    // Listing devices in this process is safe: its environment excludes the broken drivers.
     let device = isopeel_kernels::device::list().ok();
     let device = device.as_ref().and_then(|devices| devices.get(chosen.index));
     Prepared {

@@ -4,14 +4,14 @@ use std::collections::HashSet;
 
 use tokio::sync::watch;
 
-/// Programs that have passed.
+/// Programs that have passed, shared by the thread that follows the check and the threads that use the device.
 #[derive(Default)]
 pub struct Proven(watch::Sender<State>);
 
 #[derive(Default)]
 struct State {
     programs: HashSet<String>,
-    /// Outcome of the check once it has ended: then all programs have passed, or none may be used.
+    /// Outcome of the check, once it has ended: all programs have passed, or none may be used.
     ended: Option<Result<(), String>>,
 }
 
@@ -35,10 +35,10 @@ impl Proven {
         self.0.send_modify(|state| state.ended = Some(ended));
     }
 
-    /// Whether this program, or all programs, have passed.
+    /// Whether this program has passed. All programs have passed once the check has succeeded.
     ///
     /// # Errors
-    /// What the check found wrong, with this program or another one.
+    /// The error of a failed check. It may concern another program.
     pub fn has_passed(&self, program: &str) -> Result<bool, String> {
         self.0.borrow().has_passed(program)
     }

@@ -1,4 +1,4 @@
-//! A child process that uses a device, on the side of the parent: starts it, receives its messages, and finds out how it ended.
+//! The parent's side of a child process: starts the child, receives its messages, and determines how it ended.
 
 use std::io::{BufRead, BufReader, Read};
 use std::os::unix::process::{CommandExt, ExitStatusExt};
@@ -8,11 +8,12 @@ use std::time::Duration;
 
 use super::child::{Message, Request};
 
-/// Maximum time between two messages of a child, unless `ISOPEEL_CHECK_SECONDS` is set. Slow compilers take minutes for a large kernel.
+/// Maximum time between two messages of a child that compiles or checks, unless `ISOPEEL_CHECK_SECONDS` is set. Slow compilers take minutes
+/// for a large kernel.
 const STEP_LIMIT: Duration = Duration::from_secs(600);
 
-/// Maximum time for a list of the devices, unless `ISOPEEL_CHECK_SECONDS` is set: the first process to use eight GPUs may wait most of a
-/// minute.
+/// Maximum time between two messages of a child that lists devices, unless `ISOPEEL_CHECK_SECONDS` is set. With eight GPUs, the driver may
+/// need most of a minute to start.
 const LIST_LIMIT: Duration = Duration::from_secs(120);
 
 /// Maximum bytes of a child's standard error that a report quotes.
@@ -21,39 +22,39 @@ const QUOTED_BYTES: usize = 600;
 /// Environment variables in addition to the parent's own.
 pub(super) type Environment = Vec<(String, String)>;
 
-/// How a child ended that did not report [`Message::Done`].
+/// Why a child ended without [`Message::Done`].
 #[derive(Clone, Debug, thiserror::Error)]
 pub enum Ended {
-    /// It ended without a final message, by a signal or with an exit code: a fault of the driver.
+    /// A signal or an exit ended the child before its final message: a fault of the driver.
     #[error("the driver ended the process in stage {stage} ({how}){quoted}")]
     Crashed {
-        /// Stage that was running.
+        /// Stage that was running at that time.
         stage: String,
         /// The signal or exit code.
         how: String,
-        /// The end of its standard error after a colon, or nothing.
+        /// A colon and the end of the child's standard error; empty if the child wrote nothing there.
         quoted: String,
     },
-    /// Something else killed it: the system, which had no memory left, or a service manager that stops the server.
+    /// Another process killed the child: the kernel because memory ran out, or a service manager that stops the server.
     #[error("the process was killed in stage {stage} ({how})")]
     Killed {
-        /// Stage that was running.
+        /// Stage that was running at that time.
         stage: String,
         /// The signal.
         how: String,
     },
-    /// It sent no message within the time limit.
+    /// The child sent no message within the time limit.
     #[error("stage {stage} did not end within {seconds} s")]
     Hung {
-        /// Stage that was running.
+        /// Stage that was running at that time.
         stage: String,
-        /// The limit.
+        /// The time limit.
         seconds: u64,
     },
-    /// It reported an error that will occur again at the next attempt.
+    /// The child reported a permanent error: a retry would fail too.
     #[error("{0}")]
     PermanentError(String),
-    /// It reported an error of the device whose cause may be gone at the next attempt.
+    /// The child reported an error of the device that may be temporary: a retry may succeed.
     #[error("{0}")]
     TemporaryError(String),
     /// The child could not be started.
@@ -62,7 +63,7 @@ pub enum Ended {
 }
 
 impl Ended {
-    /// Whether the cause may be gone at the next attempt.
+    /// Whether a retry may succeed.
     pub fn is_temporary(&self) -> bool {
         matches!(
             self,
@@ -76,15 +77,15 @@ pub(super) struct Running {
     child: Child,
     /// Lines of the child's standard output.
     lines: Receiver<String>,
-    /// The end of the child's standard error, once the child has closed it.
+    /// Receives the last bytes of the child's standard error after the child has closed it.
     error_tail: Receiver<String>,
-    /// The stage that the child has begun last.
+    /// The stage that the child has begun most recently.
     stage: String,
     /// Maximum time between two messages.
     limit: Duration,
 }
 
-/// Returns the limit of `ISOPEEL_CHECK_SECONDS`, or else `default`.
+/// Returns the time limit that `ISOPEEL_CHECK_SECONDS` sets, or else `default`.
 fn time_limit(default: Duration) -> Duration {
     let seconds = std::env::var("ISOPEEL_CHECK_SECONDS").ok();
     let seconds = seconds.and_then(|text| text.parse().ok());
@@ -103,7 +104,7 @@ impl Running {
             .stdin(Stdio::null())
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())
-            // Ctrl-C at the terminal must reach the parent alone: a child that it ended would be taken for a crash of the driver.
+            // A separate group does not receive Ctrl-C at the terminal. Otherwise the parent would see its end as a crash of the driver.
             .process_group(0);
         end_with_parent(&mut command);
         let mut child = command.spawn().map_err(failed)?;
@@ -137,7 +138,7 @@ impl Running {
                 }
                 Err(RecvTimeoutError::Disconnected) => return Err(self.end_of_child()),
             };
-            // Skips lines that are not messages: drivers write on standard output too.
+            // Skips lines that are not messages, because drivers also write to standard output.
             match serde_json::from_str(&line) {
                 Ok(Message::Done) => return Ok(None),
                 Ok(Message::Wrong { text }) => return Err(Ended::PermanentError(text)),
@@ -152,14 +153,14 @@ impl Running {
         }
     }
 
-    /// Lowers the priority of all threads of a child, so that it does not slow down work beside it.
+    /// Lowers the priority of all threads of a child, so that it does not slow down other work.
     #[cfg(target_os = "linux")]
     pub fn lower_priority(&self) {
         use rustix::process::{Pid, setpriority_process};
         let threads = std::fs::read_dir(format!("/proc/{}/task", self.child.id()));
         let names = threads.into_iter().flatten().flatten().map(|thread| thread.file_name());
         let ids = names.filter_map(|name| Pid::from_raw(name.to_str()?.parse().ok()?));
-        // A thread that has ended meanwhile has no priority to set.
+        // An error is ignored: the thread may have ended meanwhile.
         ids.for_each(|id| _ = setpriority_process(Some(id), crate::pool::NICENESS));
     }
 
@@ -211,7 +212,7 @@ fn describe(status: ExitStatus) -> String {
     }
 }
 
-/// Returns the path of this executable. On Linux it stays valid if the file is replaced.
+/// Returns the path of this executable. On Linux the path stays valid if an update replaces the file.
 fn program() -> std::io::Result<std::path::PathBuf> {
     #[cfg(target_os = "linux")]
     return Ok("/proc/self/exe".into());
@@ -219,7 +220,7 @@ fn program() -> std::io::Result<std::path::PathBuf> {
     std::env::current_exe()
 }
 
-/// Makes the system kill the child when the thread that starts it ends.
+/// Makes the kernel kill the child when the thread that started the child ends.
 #[cfg(target_os = "linux")]
 fn end_with_parent(command: &mut Command) {
     // SAFETY: the closure only makes a system call, which is allowed between fork and exec.
@@ -252,14 +253,14 @@ fn read_lines(out: Option<impl Read + Send + 'static>) -> Receiver<String> {
 fn read_tail(out: Option<impl Read + Send + 'static>) -> Receiver<String> {
     let (send, tail) = channel();
     std::thread::spawn(move || {
-        let (mut kept, mut piece) = (Vec::new(), [0; 4096]);
+        let (mut tail, mut piece) = (Vec::new(), [0; 4096]);
         if let Some(mut out) = out {
             while let Ok(count @ 1..) = out.read(&mut piece) {
-                kept.extend_from_slice(&piece[..count]);
-                kept.drain(..kept.len().saturating_sub(QUOTED_BYTES));
+                tail.extend_from_slice(&piece[..count]);
+                tail.drain(..tail.len().saturating_sub(QUOTED_BYTES));
             }
         }
-        let _ = send.send(String::from_utf8_lossy(&kept).trim().to_owned());
+        let _ = send.send(String::from_utf8_lossy(&tail).trim().to_owned());
     });
     tail
 }

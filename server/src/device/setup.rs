@@ -8,13 +8,13 @@ use serde::{Deserialize, Serialize};
 pub struct DeviceId {
     /// Position in the list of devices.
     pub index: usize,
-    /// Name of its platform.
+    /// Name of the OpenCL platform.
     pub platform: String,
-    /// Version of its platform, which may name the compiler.
+    /// Version of the platform. It may include the version of the compiler.
     pub platform_version: String,
     /// Name of the device.
     pub name: String,
-    /// Version of its driver.
+    /// Version of the driver.
     pub driver: String,
 }
 
@@ -35,8 +35,8 @@ impl DeviceId {
         self.model() == other.model()
     }
 
-    /// Returns what devices of the same model with the same driver share: the platform and its version, the name of the device, and the
-    /// version of its driver.
+    /// Returns platform, version of the platform, name of the device, and version of the driver. They are equal for devices of the same
+    /// model with the same driver.
     pub(super) fn model(&self) -> [&str; 4] {
         [&self.platform, &self.platform_version, &self.name, &self.driver].map(String::as_str)
     }
@@ -48,7 +48,7 @@ impl std::fmt::Display for DeviceId {
     }
 }
 
-/// A workaround for a fault of a driver, or none. [`Workaround::candidates`] has the order in which they are tried.
+/// A workaround for a fault of a driver, or none. [`Workaround::candidates`] defines the order in which workarounds are tried.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Workaround {
@@ -68,7 +68,7 @@ pub enum Workaround {
 }
 
 impl Workaround {
-    /// Returns the workarounds that apply to a device, in the order in which they are tried. The first one is none.
+    /// Returns the workarounds that apply to a device, in the order in which they are tried. The first is [`Workaround::None`].
     pub fn candidates(device: &DeviceInfo) -> Vec<Self> {
         let is_pocl = device.pocl_version().is_some();
         let applies = |workaround: &Self| match workaround {
@@ -88,7 +88,7 @@ impl Workaround {
         all.into_iter().filter(applies).collect()
     }
 
-    /// Returns the environment variable that the process must have, and its value, if this workaround needs one.
+    /// Returns name and value of the environment variable that this workaround needs; `None` if it needs none.
     pub fn environment(self) -> Option<(&'static str, &'static str)> {
         match self {
             Self::Loops => Some((POCL_METHOD, "loops")),
@@ -110,7 +110,7 @@ impl Workaround {
         }
     }
 
-    /// Returns the description that reports contain.
+    /// Returns the description for reports.
     pub fn text(self) -> &'static str {
         match self {
             Self::None => "default settings",
@@ -137,12 +137,12 @@ pub(super) const TYPES: [(&str, SampleType); 5] = [
 
 /// Returns the name of a sample type in requests. All types are in [`TYPES`].
 pub(super) fn type_name(sample_type: SampleType) -> &'static str {
-    let named = TYPES.into_iter().find(|(_, one)| *one == sample_type);
-    named.map_or("f32", |(name, _)| name)
+    let entry = TYPES.into_iter().find(|(_, other)| *other == sample_type);
+    entry.map_or("f32", |(name, _)| name)
 }
 
 /// Returns the sample type of a name in a request; `None` if the name is unknown.
 pub(super) fn sample_type_of(name: &str) -> Option<SampleType> {
-    let named = TYPES.into_iter().find(|(one, _)| *one == name);
-    named.map(|(_, sample_type)| sample_type)
+    let entry = TYPES.into_iter().find(|(other, _)| *other == name);
+    entry.map(|(_, sample_type)| sample_type)
 }

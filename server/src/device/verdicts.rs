@@ -1,5 +1,5 @@
-//! Verdicts on devices, kept on disk: one file for each device, version of its driver and compiler, method of PoCL and build of isopeel.
-//! Each of several devices of one kind has a file of its own, by its order among them.
+//! Verdicts on devices, stored on disk. Each combination of device, driver version, compiler version, work-group method of PoCL and build
+//! of isopeel has one file. Several devices of the same model have separate files, numbered in the order of the device list.
 
 use std::path::{Path, PathBuf};
 
@@ -26,17 +26,17 @@ struct Verdict {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 enum Outcome {
-    /// It passed in this way.
+    /// The device passed with this workaround.
     Passed(Workaround),
-    /// It failed in all ways; a line for each.
+    /// The device failed with all workarounds. The report has a line for each.
     Refused(String),
 }
 
-/// Keeps verdicts in a folder; without a folder, keeps none.
+/// Stores verdicts in a folder. Stores nothing without a folder.
 pub(super) struct Verdicts {
     folder: Option<PathBuf>,
-    /// Folder in which PoCL caches compiled kernels. A verdict on a PoCL device is valid only while the kernels that the check compiled are
-    /// in it: without them the device's thread would compile each kernel at its first use, and all viewers would wait.
+    /// Folder in which PoCL caches compiled kernels. A verdict on a PoCL device is valid only while this folder has the kernels that the
+    /// check compiled. Otherwise the device's thread would compile each kernel at its first use, and all viewers would wait.
     kernels: Option<PathBuf>,
     /// The listed devices.
     devices: Vec<DeviceId>,
@@ -51,11 +51,12 @@ impl Verdicts {
         }
     }
 
+    /// Returns the path of the file with the verdict on a device; `None` without a folder.
     fn path(&self, device: &DeviceId) -> Option<PathBuf> {
         Some(self.folder.as_ref()?.join(format!("{}.json", self.name_of(device))))
     }
 
-    /// Returns the name of the file about a device.
+    /// Returns the name of the file with the verdict on a device, without its extension.
     fn name_of(&self, device: &DeviceId) -> String {
         let is_before = |other: &&DeviceId| other.index < device.index && other.is_same_model(device);
         let ordinal = self.devices.iter().filter(is_before).count().to_string();
@@ -66,19 +67,20 @@ impl Verdicts {
         format!("{:016x}", xxhash_rust::xxh3::xxh3_64(text.as_bytes()))
     }
 
-    /// Returns the file that marks that the kernels of a PoCL device are in PoCL's cache; `None` for other devices.
+    /// Returns the path of a marker file in PoCL's cache. It exists while the cache has the kernels of this PoCL device. `None` for other
+    /// devices.
     fn marker(&self, device: &DeviceId) -> Option<PathBuf> {
         let folder = self.kernels.as_ref().filter(|_| device.platform == POCL)?;
         Some(folder.join(format!("isopeel-{}", self.name_of(device))))
     }
 
-    /// Returns the way in which this device passed with all of these sample types; `None` if there is no valid verdict.
+    /// Returns the workaround with which this device passed for all of these sample types; `None` if there is no valid verdict.
     pub fn find(&self, device: &DeviceId, types: &[String]) -> Option<Workaround> {
         let (workaround, passed) = self.passed(device)?;
         includes(&passed, types).then_some(workaround)
     }
 
-    /// Returns the way in which this device passed, and the sample types with which it did.
+    /// Returns the workaround with which this device passed, and the sample types that passed.
     fn passed(&self, device: &DeviceId) -> Option<(Workaround, Vec<String>)> {
         let verdict = self.read(device)?;
         let has_kernels = self.marker(device).is_none_or(|marker| marker.exists());
@@ -88,13 +90,13 @@ impl Verdicts {
         }
     }
 
-    /// Returns a line for each way in which this device failed, if it was refused with these sample types or some of them.
+    /// Returns the report on a refused device, if all sample types of the refusal are among `types`.
     pub fn refusal(&self, device: &DeviceId, types: &[String]) -> Option<String> {
         let (report, refused) = self.refused(device)?;
         includes(types, &refused).then_some(report)
     }
 
-    /// Returns the report of a refused device, and the sample types with which it failed.
+    /// Returns the report on a refused device, and the sample types for which it failed.
     fn refused(&self, device: &DeviceId) -> Option<(String, Vec<String>)> {
         let verdict = self.read(device)?;
         match verdict.outcome {
@@ -110,7 +112,7 @@ impl Verdicts {
         is_valid.then_some(verdict)
     }
 
-    /// Stores how a device passed.
+    /// Stores that a device passed with a workaround. Adds the sample types of an earlier verdict with the same workaround.
     ///
     /// # Errors
     /// The folder cannot be written.
@@ -127,12 +129,12 @@ impl Verdicts {
         self.write(device, Outcome::Passed(workaround), types)
     }
 
-    /// Stores that a device failed in all ways, with the `report` of them.
+    /// Stores that a device failed with all workarounds.
     ///
     /// # Errors
     /// The folder cannot be written.
     pub fn refuse(&self, device: &DeviceId, report: String, types: &[String]) -> std::io::Result<()> {
-        // A device that failed with fewer types fails with these too.
+        // Keeps the smaller set of types if a stored refusal has one: a device that failed for a subset fails for all of `types` too.
         let fewer = self.refused(device).filter(|(_, fewer)| includes(types, fewer));
         let types = fewer.map_or_else(|| types.to_vec(), |(_, fewer)| fewer);
         self.write(device, Outcome::Refused(report), types)
@@ -149,7 +151,7 @@ impl Verdicts {
             outcome,
             types,
         };
-        // Written atomically, because other processes read it.
+        // Replaces the file atomically, because other processes may read it.
         let file = tempfile::NamedTempFile::new_in(folder)?;
         serde_json::to_writer(&file, &verdict)?;
         file.persist(path)?;
@@ -164,9 +166,9 @@ impl Verdicts {
     }
 }
 
-/// Whether all of `some` are among `all`.
-fn includes(all: &[String], some: &[String]) -> bool {
-    some.iter().all(|one| all.contains(one))
+/// Whether all names in `subset` are in `names`.
+fn includes(names: &[String], subset: &[String]) -> bool {
+    subset.iter().all(|name| names.contains(name))
 }
 
 fn build() -> String {

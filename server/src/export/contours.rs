@@ -1,27 +1,27 @@
-//! Contours of a plane of samples: the lines along which the surface of an isovalue crosses it.
+//! Contours of a plane of samples: the lines along which an isosurface crosses the plane.
 //!
-//! A face of a cell is crossed as the meshers cross it. Inside means `value >= iso`. Edges are crossed at the linear interpolant. If two
-//! opposite corners of a face are inside, they are separated. A face that touches a missing sample has no contour.
+//! The rules are those of the meshers. A sample is inside if `value >= iso`. A contour crosses an edge at the linear interpolant. If only
+//! two opposite corners of a face are inside, the contours separate them. A face that touches a missing sample has no contour.
 
 use rustc_hash::{FxHashMap, FxHashSet};
 
 /// A contour. The unit is the distance between samples; the origin is the plane's first sample.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Contour {
-    /// Its points. A closed contour ends with its first point.
+    /// Points in order. A closed contour repeats its first point at the end.
     pub points: Vec<[f64; 2]>,
-    /// Whether it is closed; otherwise it ends at a border of the plane or at missing samples.
+    /// Whether the contour is closed. An open contour ends at a border of the plane or at missing samples.
     pub is_closed: bool,
 }
 
-/// An edge between two neighbouring samples: the lower sample, and the axis along which the other one lies.
+/// An edge between two neighbouring samples: `x` and `y` of the sample with the lower index, and the axis of the edge (0 or 1).
 type Edge = (u32, u32, u8);
 
-/// Corners of a face, in order around it.
+/// Corners of a face, in cyclic order.
 const CORNERS: [[u32; 2]; 4] = [[0, 0], [1, 0], [1, 1], [0, 1]];
 
-/// Returns the contours of an isovalue. High values are on their left if the second axis points up. `value` returns the sample at a place;
-/// `None` if it is missing.
+/// Returns the contours at `iso`. A contour has high values on its left if the second axis points up. `value` returns the sample at
+/// (x, y), or `None` if that sample is missing.
 pub fn contours([width, height]: [u32; 2], value: impl Fn(u32, u32) -> Option<f32>, iso: f32) -> Vec<Contour> {
     let mut next: FxHashMap<Edge, Edge> = FxHashMap::default();
     let mut has_previous: FxHashSet<Edge> = FxHashSet::default();
@@ -39,39 +39,43 @@ pub fn contours([width, height]: [u32; 2], value: impl Fn(u32, u32) -> Option<f3
             starts.push(from);
         }
     }
-    let place = |edge: &Edge| crossing(*edge, &value, iso);
-    // Open contours come first, and begin at their first edges.
+    let point_on = |edge: &Edge| crossing(*edge, &value, iso);
+    // Open contours are traced first, because only they must start at a certain edge: the one without a predecessor.
     let (open, closed): (Vec<Edge>, Vec<Edge>) = starts.into_iter().partition(|edge| !has_previous.contains(edge));
-    let mut found = Vec::new();
+    let mut contours = Vec::new();
     for start in open.into_iter().chain(closed) {
         let mut edges = vec![start];
         while let Some(to) = next.remove(edges.last().unwrap_or(&start)) {
             edges.push(to);
         }
         if edges.len() > 1 {
-            found.push(Contour {
-                points: edges.iter().map(place).collect(),
+            contours.push(Contour {
+                points: edges.iter().map(point_on).collect(),
                 is_closed: edges.first() == edges.last(),
             });
         }
     }
-    found
+    contours
 }
 
-/// The sides of a face that segments of a contour lead from and to. Side `i` is between the corners `i` and `i + 1`. Walking around the face, a segment
-/// runs from the side where the walk leaves the inside to the side where it entered it: inside corners are separated.
+/// Returns the contour segments of a face, each as the side where it starts and the side where it ends. Side `i` is between the corners
+/// `i` and `i + 1`.
+///
+/// A walk around the face enters the inside at some sides and leaves it at others. Each segment connects the side of an entry with the
+/// next side of an exit, so it cuts off one run of inside corners.
 fn segments(inside: [bool; 4]) -> Vec<(usize, usize)> {
-    let mut found = Vec::new();
+    let mut segments = Vec::new();
     for entered in (0..4).filter(|&side| !inside[side] && inside[(side + 1) % 4]) {
         let exited = (1..4).map(|n| (entered + n) % 4).find(|&side| !inside[(side + 1) % 4]);
         if let Some(exited) = exited {
-            // In this direction, the inside is on the left-hand side of the segment.
-            found.push((exited, entered));
+            // From exit to entry, the inside is on the left of the segment.
+            segments.push((exited, entered));
         }
     }
-    found
+    segments
 }
 
+/// Returns the edge at a side of the face whose first corner is the sample at (x, y).
 fn edge(x: u32, y: u32, side: usize) -> Edge {
     match side {
         0 => (x, y, 0),
@@ -81,18 +85,18 @@ fn edge(x: u32, y: u32, side: usize) -> Edge {
     }
 }
 
-/// Returns the point at which an edge is crossed.
+/// Returns the point at which the linear interpolant along an edge equals `iso`.
 fn crossing((x, y, axis): Edge, value: &impl Fn(u32, u32) -> Option<f32>, iso: f32) -> [f64; 2] {
     let [dx, dy] = if axis == 0 { [1, 0] } else { [0, 1] };
     let [from, to] = [value(x, y), value(x + dx, y + dy)].map(|value| f64::from(value.unwrap_or(iso)));
-    let share = if from == to {
+    let fraction = if from == to {
         0.5
     } else {
         ((f64::from(iso) - from) / (to - from)).clamp(0.0, 1.0)
     };
     [
-        f64::from(x) + share * f64::from(dx),
-        f64::from(y) + share * f64::from(dy),
+        f64::from(x) + fraction * f64::from(dx),
+        f64::from(y) + fraction * f64::from(dy),
     ]
 }
 

@@ -10,7 +10,7 @@ use crate::service::DeviceWorker;
 /// Returns why the surface of a resolved view has no triangles; `None` if it has some.
 ///
 /// # Errors
-/// The device's, which counts the field's values.
+/// Errors of the device, which counts the field's values.
 pub(crate) async fn why_empty(
     worker: &DeviceWorker,
     volume: &VolumeStep,
@@ -27,7 +27,7 @@ pub(crate) async fn why_empty(
     Ok(Some(no_crossing(view, &values.await?)))
 }
 
-/// Returns why nothing is left of a surface that has triangles in full; `None` if that is not the reason.
+/// Returns the reason if options of the request removed all triangles; `None` if the full surface has no triangles either.
 fn all_removed(statistics: &ExtractionStatistics) -> Option<String> {
     match (statistics.full_triangles, statistics.removed_parts) {
         (0, Some(parts @ 1..)) => Some(format!(
@@ -40,26 +40,26 @@ fn all_removed(statistics: &ExtractionStatistics) -> Option<String> {
     }
 }
 
-/// Returns why there is no surface at an isovalue.
+/// Returns why the field has no surface at the isovalue.
 fn no_crossing(view: &View, histogram: &Histogram) -> String {
     let field = &view.field;
     let [low, high] = histogram.range;
     let Some(iso) = view.iso.map(isopeel_kernels::Isovalue::get) else {
         return format!("no surface: no sample of {field:?} has a value");
     };
-    let nowhere = format!("no surface at isovalue {iso}");
+    let no_surface = format!("no surface at isovalue {iso}");
     match &view.mask {
         _ if histogram.bins.iter().all(|&samples| samples == 0) => {
             format!("no surface: no sample of {field:?} has a value")
         }
-        _ if low == high => format!("{nowhere}: all values of {field:?} are {low}"),
+        _ if low == high => format!("{no_surface}: all values of {field:?} are {low}"),
         // The same test as in the kernels: samples at the isovalue are inside.
         _ if iso <= low || iso > high => format!(
-            "{nowhere}: values of {field:?} go from {low} to {high}, expected a number between them, such as {}",
+            "{no_surface}: values of {field:?} go from {low} to {high}, expected a number between them, such as {}",
             0.5 * low + 0.5 * high
         ),
-        Some(mask) => format!("{nowhere} where {}", mask.as_str()),
-        None => format!("{nowhere}: samples on both sides of it are parted by missing ones"),
+        Some(mask) => format!("{no_surface} where {}", mask.as_str()),
+        None => format!("{no_surface}: samples on both sides of it are parted by missing ones"),
     }
 }
 

@@ -12,14 +12,15 @@ use crate::service::DeviceWorker;
 /// A field, or an expression over fields, with the samples of a time step.
 pub struct FieldSamples {
     field: Field,
-    /// All samples, in pieces of `piece` samples; the last one may have fewer.
+    /// All samples, in pieces of `piece_len` samples; the last piece may have fewer.
     pieces: Vec<Samples>,
-    piece: usize,
+    piece_len: usize,
     dims: [u32; 3],
 }
 
 impl FieldSamples {
-    /// Returns the samples of fields and expressions by their names. They come from the device, which already has those of the surface.
+    /// Returns the samples of fields and expressions by their names. Reads them back from the device, because the fields of the surface are
+    /// already resident there.
     ///
     /// # Errors
     /// Errors of the device, or of reading a file.
@@ -29,30 +30,30 @@ impl FieldSamples {
         names: &[String],
         token: &CancellationToken,
     ) -> Result<Vec<Self>, WorkError> {
-        let mut found = Vec::new();
+        let mut field_samples = Vec::new();
         for name in names {
             let Some(field) = fields::field_or_computed(volume.dataset(), name) else {
                 continue;
             };
             let (pieces, planes) = worker.samples(volume, name, token).await?;
             let dims = volume.dataset().geometry.dims;
-            found.push(Self {
+            field_samples.push(Self {
                 field,
                 pieces,
-                piece: planes as usize * dims[0] as usize * dims[1] as usize,
+                piece_len: planes as usize * dims[0] as usize * dims[1] as usize,
                 dims,
             });
         }
-        Ok(found)
+        Ok(field_samples)
     }
 
-    fn sample(&self, at: usize) -> f32 {
-        self.pieces[at / self.piece].get(at % self.piece)
+    fn sample(&self, index: usize) -> f32 {
+        self.pieces[index / self.piece_len].get(index % self.piece_len)
     }
 
-    /// Returns the values at positions of a padded index space, in which the grid's first sample is at `padding`.
+    /// Returns the values at positions in a padded index space, in which all coordinates of the grid's first sample are `padding`.
     pub(super) fn at(&self, positions: &[[f32; 3]], padding: f32) -> FieldValues {
-        let index = |position: &[f32; 3]| position.map(|at| f64::from(at - padding));
+        let index = |position: &[f32; 3]| position.map(|coordinate| f64::from(coordinate - padding));
         FieldValues {
             name: self.field.name.clone(),
             unit: self.field.unit.clone(),
@@ -60,16 +61,16 @@ impl FieldSamples {
         }
     }
 
-    /// Returns the value at a position of index space. Outside of the grid, as on the faces of a cap, it is that of the nearest place
-    /// inside. NaN if a sample with a weight above 0 is missing.
+    /// Returns the value at a position in index space. A position outside the grid, as on the faces of a cap, gets the value of the nearest
+    /// position inside. Returns NaN if a sample with a weight above 0 is missing.
     fn value(&self, position: [f64; 3]) -> f32 {
         let mut low = [0; 3];
-        let mut share = [0.0; 3];
+        let mut fraction = [0.0; 3];
         for axis in 0..3 {
             let last = f64::from(self.dims[axis] - 1);
-            let at = position[axis].clamp(0.0, last);
-            let cell = at.floor().min(last - 1.0);
-            (low[axis], share[axis]) = (cell as usize, at - cell);
+            let coordinate = position[axis].clamp(0.0, last);
+            let cell = coordinate.floor().min(last - 1.0);
+            (low[axis], fraction[axis]) = (cell as usize, coordinate - cell);
         }
         let [nx, ny, _] = self.dims.map(|n| n as usize);
         let mut sum = 0.0;
@@ -78,13 +79,13 @@ impl FieldSamples {
             let weight: f64 = (0..3)
                 .map(|axis| {
                     if offset[axis] == 1 {
-                        share[axis]
+                        fraction[axis]
                     } else {
-                        1.0 - share[axis]
+                        1.0 - fraction[axis]
                     }
                 })
                 .product();
-            // A sample of weight 0 may be missing.
+            // A missing sample of weight 0 has no effect on the value.
             if weight > 0.0 {
                 let [x, y, z] = [0, 1, 2].map(|axis| low[axis] + offset[axis]);
                 let sample = self.sample(x + nx * (y + ny * z));
@@ -123,7 +124,7 @@ mod tests {
         let field = FieldSamples {
             field,
             pieces: vec![Samples::F32(low.to_vec()), Samples::F32(high.to_vec())],
-            piece: 6,
+            piece_len: 6,
             dims: [3, 2, 2],
         };
         let values = field.at(

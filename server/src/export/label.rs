@@ -7,9 +7,9 @@ use isopeel_volumes::{Dataset, Field};
 /// Isovalue halfway between samples inside and outside.
 const ISO: f32 = 0.5;
 
-/// Returns the edit for the surface around some labels: `7`, `Hippocampus`, or several with commas between them. The labels are values of
-/// the edit's field, else of the first field with names of labels, else of the first field. `smoothing`: standard deviation in samples; 0:
-/// none.
+/// Returns the edit for the surface around labels, such as `7`, `Hippocampus` or `3,Hippocampus`. The labels are values of the edit's
+/// field; if the edit has no field, of the first field that names its labels, or else of the first field. `smoothing` is a standard
+/// deviation in samples; 0 disables it.
 ///
 /// # Errors
 /// A label that is neither a whole number nor a name of the field, or an edit that has an isovalue.
@@ -31,17 +31,17 @@ pub(super) fn around_labels(dataset: &Dataset, labels: &str, smoothing: f32, edi
     let values = match value_of(field, labels.trim()) {
         Ok(value) => vec![value],
         Err(_) => {
-            let each = labels.split(',').map(|label| value_of(field, label.trim()));
-            match each.collect() {
+            let values = labels.split(',').map(|label| value_of(field, label.trim()));
+            match values.collect() {
                 Ok(values) => values,
                 Err(why) => return refuse(why),
             }
         }
     };
-    let is = values
+    let comparisons = values
         .iter()
         .map(|value| format!("{quote}{}{quote}=={value}", field.name));
-    let condition = is.collect::<Vec<_>>().join("||");
+    let condition = comparisons.collect::<Vec<_>>().join("||");
     Ok(Edit {
         iso: Some(ISO),
         field: Some(match smoothing {
@@ -52,7 +52,7 @@ pub(super) fn around_labels(dataset: &Dataset, labels: &str, smoothing: f32, edi
     })
 }
 
-/// Returns the value of a label, which is given by number or name.
+/// Returns the value of a label, which the text gives by its number or its name.
 fn value_of(field: &Field, label: &str) -> Result<i128, String> {
     if let Ok(value) = label.parse() {
         return Ok(value);

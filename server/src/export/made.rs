@@ -22,11 +22,11 @@ use super::{
 use crate::pool::{self, Panicked};
 use crate::service::DeviceWorker;
 
-/// A file that was made, but not written yet.
+/// Content of a file that is complete, but not written yet.
 pub struct MadeFile {
     content: Content,
     stem: String,
-    /// Statistics of its surface.
+    /// Statistics of the surface, or of all surfaces together.
     pub statistics: ExtractionStatistics,
 }
 
@@ -63,8 +63,8 @@ impl From<RepairError> for MakeError {
     }
 }
 
-/// Extracts the surfaces of a request and makes a file of them. The work ends soon after the token is cancelled. Its part on the
-/// processors runs in threads of low priority.
+/// Extracts the surfaces of a request and makes a file of them. Stops soon after the token is cancelled. CPU work runs on the export pool,
+/// whose threads have low priority.
 ///
 /// # Errors
 /// [`MakeError`].
@@ -76,7 +76,7 @@ pub async fn make(
     token: &CancellationToken,
 ) -> Result<MadeFile, MakeError> {
     let device = worker.ready().await?;
-    let mut made = Vec::new();
+    let mut surfaces = Vec::new();
     for surface in request.surfaces(volume, others)? {
         let work = request.options.export_work(&surface.view);
         let extracted = worker.extract_with(&surface.volume, &surface.view, work, token);
@@ -86,25 +86,27 @@ pub async fn make(
             let why = why_empty(worker, &surface.volume, &extraction.view, &statistics).await?;
             return Err(MakeError::Empty(why.unwrap_or_default()));
         }
-        made.push(MadeSurface::of(worker, extraction, surface, &device.name, token).await?);
+        surfaces.push(MadeSurface::of(worker, extraction, surface, &device.name, token).await?);
     }
-    Ok(MadeFile::new(volume, request, made))
+    Ok(MadeFile::new(volume, request, surfaces))
 }
 
-/// Returns the unit of the volume's numbers and that of the file's positions; `None` if a unit is not known. The file has the unit of its
-/// format, else the requested unit, else the volume's own. A volume without a unit is taken to have the requested one.
-fn unit_of_file(format: Format, own: Option<LengthUnit>, asked: Option<LengthUnit>) -> [Option<LengthUnit>; 2] {
-    let from = own.filter(|unit| unit.metres().is_some()).or(asked);
+/// Returns two units: of the volume's coordinates, and of the positions in the file. Each is `None` if it is not known.
+///
+/// A volume that declares no length unit is assumed to have the requested unit. A file has the unit that its format prescribes, else the
+/// requested unit, else the unit of the volume.
+fn units(format: Format, declared: Option<LengthUnit>, requested: Option<LengthUnit>) -> [Option<LengthUnit>; 2] {
+    let from = declared.filter(|unit| unit.metres().is_some()).or(requested);
     let to = match format.unit() {
         Some(unit) => from.map(|_| unit),
         // A GLB keeps the unit, because its node converts to metres.
         None if format == Format::Glb => from,
-        None => asked.or(from),
+        None => requested.or(from),
     };
     [from, to]
 }
 
-/// Flips a mesh, if necessary, so that its outside is the requested side.
+/// Flips the triangles of a mesh if necessary, so that the requested side is outside.
 fn turn_outward(mesh: &mut Mesh, topology: Topology, outward: Outward) -> Shape {
     let Topology { split, is_closed } = topology;
     let volume = is_closed.then(|| volume(mesh));
@@ -126,9 +128,9 @@ fn turn_outward(mesh: &mut Mesh, topology: Topology, outward: Outward) -> Shape 
     }
 }
 
-/// Returns the cells along the largest cube that a vertex of a surface stands for: a cap changes the vertices of all cubes that it cuts. 1 for a
-/// cut of the vertex tree, which is refined near caps.
-fn cells_of_largest(statistics: &ExtractionStatistics) -> f32 {
+/// Returns the edge length, in cells, of the largest cube that a vertex of the surface represents. A cap changes the vertices of all cubes
+/// that it cuts. Returns 1 for a cut of the vertex tree, because such a cut is refined near caps.
+fn largest_cube_cells(statistics: &ExtractionStatistics) -> f32 {
     let coarsest = statistics.leaves.iter().rposition(|&leaves| leaves > 0);
     match coarsest {
         Some(level) if !statistics.is_tree_cut => (1u32 << level) as f32,
@@ -136,7 +138,7 @@ fn cells_of_largest(statistics: &ExtractionStatistics) -> f32 {
     }
 }
 
-/// Returns notices on properties of a mesh that the format does not keep, and on an error that was not measured in time.
+/// Returns notices about a file: which properties of the mesh its format loses, and whether measuring the error exceeded its time limit.
 fn notices(mesh: &Mesh, options: &FileOptions, is_measured: bool) -> Vec<String> {
     let format = options.format;
     let title = format.title();
@@ -163,7 +165,7 @@ fn notices(mesh: &Mesh, options: &FileOptions, is_measured: bool) -> Vec<String>
         .collect()
 }
 
-/// Returns notices on properties of a surface's look that the format does not keep.
+/// Returns notices about names, colours and opacities of a surface that its format cannot hold.
 fn lost_looks(surface: &FileSurface) -> Vec<String> {
     let (format, material) = (surface.request.options.format, surface.material);
     let title = format.title();
@@ -183,8 +185,8 @@ fn lost_looks(surface: &FileSurface) -> Vec<String> {
     lost.map(|(_, what)| format!("a {title} holds no {what}")).collect()
 }
 
-/// Returns a notice if vertices were moved after the error was measured.
-fn moves(mesh: &Mesh, cleaned: &Cleaned) -> Option<String> {
+/// Returns a notice if the repair moved vertices, because the measured error does not include these moves.
+fn moved_vertices_notice(mesh: &Mesh, cleaned: &Cleaned) -> Option<String> {
     let (count, unit) = (cleaned.moved_vertices, mesh.unit.map_or("", LengthUnit::ascii_symbol));
     (count > 0).then(|| {
         let length = cleaned.largest_move;
@@ -192,18 +194,19 @@ fn moves(mesh: &Mesh, cleaned: &Cleaned) -> Option<String> {
     })
 }
 
-/// Repairs and counts triangles that intersect.
+/// Settings for the repair of a mesh, and for counting the triangles that intersect.
 struct Cleaning {
-    /// `None`: nothing is repaired.
+    /// Where the mesh is repaired; `None`: nowhere.
     scope: Option<Scope>,
     measuring: Measuring,
     faces: Faces,
-    /// Cost of refining the cut.
+    /// What the refinement of the cut has cost, if the cut was refined.
     refined: Option<RefinementCost>,
 }
 
 impl Cleaning {
-    /// Repairs a mesh, and counts the pairs of triangles that intersect afterwards. `None` if counting was not requested, or took too long.
+    /// Repairs a mesh, then counts the pairs of triangles that still intersect. Returns the count and the statistics of the repair. The
+    /// count is `None` if it was not requested or took too long.
     fn run(
         &self,
         mesh: &mut Mesh,
@@ -231,8 +234,8 @@ impl Cleaning {
     }
 }
 
-/// Returns the name of a surface, for people.
-fn name(volume: &VolumeStep, view: &View) -> String {
+/// Returns the default name of a surface: volume, field, isovalue and mask.
+fn default_name(volume: &VolumeStep, view: &View) -> String {
     let iso = view.iso.map_or(String::new(), |iso| format!(" = {}", iso.get()));
     let mask = view
         .mask
@@ -252,7 +255,7 @@ fn stem(surface: &FileSurface, view: &View) -> String {
     safe_name(&format!("{volume}{what}"))
 }
 
-/// Converts a text to a part of a file's name: letters, digits, and other characters without a special meaning on any system.
+/// Converts a text to a part of a file name. Replaces all characters that have a special meaning on some system.
 pub(crate) fn safe_name(text: &str) -> String {
     let safe = |c: char| match c {
         '.' | '-' | '+' | '_' => c,
@@ -262,7 +265,7 @@ pub(crate) fn safe_name(text: &str) -> String {
     text.chars().map(safe).collect()
 }
 
-/// Provenance of a surface: its volume, step and view, and the program that made it.
+/// Returns the provenance of a surface: its volume, step and view, and the program that made it.
 fn provenance(volume: &VolumeStep, view: &View) -> Vec<(&'static str, String)> {
     let dataset = volume.dataset();
     let view = serde_json::to_string(&view.to_edit()).unwrap_or_default();
@@ -291,42 +294,42 @@ pub struct MadeSurface {
 }
 
 impl MadeSurface {
-    /// As [`MadeSurface::new`], but fetches the values of fields from the device, and runs on the pool of exports.
+    /// Fetches the values of fields from the device, then runs [`MadeSurface::new`] on the export pool.
     ///
     /// # Errors
-    /// As [`MadeSurface::new`], and the device's.
+    /// As [`MadeSurface::new`], and errors of the device.
     pub async fn of(
         worker: &DeviceWorker,
         extraction: Extraction,
-        asked: FileSurface,
+        requested: FileSurface,
         device: &str,
         token: &CancellationToken,
     ) -> Result<Self, MakeError> {
-        let fields = FieldSamples::of(worker, &asked.volume, asked.values(), token).await?;
+        let fields = FieldSamples::of(worker, &requested.volume, requested.values(), token).await?;
         let (token, device) = (token.clone(), device.to_owned());
-        let mesh = move || Self::new(extraction, fields, &asked, &device, &|| token.is_cancelled());
-        pool::run_export(mesh).await?
+        let make = move || Self::new(extraction, fields, &requested, &device, &|| token.is_cancelled());
+        pool::run_export(make).await?
     }
 
-    /// Makes the mesh of a surface that was extracted on the device of that name.
+    /// Makes the mesh of an extracted surface. `device` is the name of the device, for the statistics.
     ///
     /// # Errors
     /// The format cannot hold the surface, or [`ExportError::Cancelled`].
     fn new(
         extraction: Extraction,
         fields: Vec<FieldSamples>,
-        asked: &FileSurface,
+        requested: &FileSurface,
         device: &str,
         is_cancelled: &(dyn Fn() -> bool + Sync),
     ) -> Result<Self, MakeError> {
-        let (volume, options) = (&asked.volume, &asked.request.options);
+        let (volume, options) = (&requested.volume, &requested.request.options);
         let mut statistics = extraction.statistics(volume, device);
         let Extraction {
             surface, view, refined, ..
         } = extraction;
         let dataset = volume.dataset();
-        let (of_view, space) = view_space(dataset, &view);
-        let placed = of_view.in_unit(unit_of_file(options.format, of_view.unit, options.length_unit()));
+        let (geometry, space) = view_space(dataset, &view);
+        let placed = geometry.in_unit(units(options.format, geometry.unit, options.length_unit()));
         let uneven = space.uneven.as_deref().map(|axes| (axes, view.mesher));
         let mut mesh = Mesh::new_unless(&surface, &placed, uneven, is_cancelled)?;
         // Drops the surface before the mesh is copied, because both are large.
@@ -334,9 +337,9 @@ impl MadeSurface {
         let padding = if view.cap { 1.0 } else { 0.0 };
         mesh.fields = fields.iter().map(|field| field.at(&mesh.index, padding)).collect();
         drop(fields);
-        let cells = cells_of_largest(&statistics);
+        let cells = largest_cube_cells(&statistics);
         if view.cap {
-            let to_caps = |&at: &[f32; 3]| ToCaps::of(at, of_view.dims, cells);
+            let to_caps = |&position: &[f32; 3]| ToCaps::of(position, geometry.dims, cells);
             mesh.caps = mesh.index.iter().map(to_caps).collect();
         }
         mesh.index = Vec::new();
@@ -349,7 +352,7 @@ impl MadeSurface {
                 view.cap.then_some(Scope::AtCaps { cells })
             },
             measuring: options.measuring(),
-            faces: Faces::new(&of_view, &mesh.positions, &mesh.caps),
+            faces: Faces::new(&geometry, &mesh.positions, &mesh.caps),
             refined,
         };
         let (self_intersections, cleaned) = cleaning.run(&mut mesh, options.format, is_cancelled)?;
@@ -360,20 +363,20 @@ impl MadeSurface {
         });
         let is_measured = statistics.error.is_some() || view.mesher != MesherName::Dual;
         statistics.notices = notices(&mesh, options, is_measured);
-        statistics.notices.extend(lost_looks(asked));
+        statistics.notices.extend(lost_looks(requested));
         statistics
             .notices
-            .extend(cleaned.and_then(|cleaned| moves(&mesh, &cleaned)));
+            .extend(cleaned.and_then(|cleaned| moved_vertices_notice(&mesh, &cleaned)));
         let notice = dataset.notice().unwrap_or_default();
         mesh.notices = notice.lines().map(str::to_owned).collect();
-        mesh.name = match (&asked.name, &options.label) {
+        mesh.name = match (&requested.name, &options.label) {
             (Some(name), _) => name.clone(),
             (None, Some(labels)) => format!("{}: {labels}", dataset.id),
-            (None, None) => name(volume, &view),
+            (None, None) => default_name(volume, &view),
         };
-        mesh.material = asked.material;
+        mesh.material = requested.material;
         mesh.provenance = provenance(volume, &view);
-        if asked.request.is_colored() {
+        if requested.request.is_colored() {
             mesh.colorize(&view.transfer_function, view.alpha);
         }
         let extras = extras(volume, &view.to_edit(), &mesh, &statistics);
@@ -381,7 +384,7 @@ impl MadeSurface {
             mesh,
             statistics,
             extras,
-            stem: stem(asked, &view),
+            stem: stem(requested, &view),
         })
     }
 }
@@ -391,7 +394,7 @@ impl MadeFile {
     pub fn new(volume: &VolumeStep, request: &FileRequest, surfaces: Vec<MadeSurface>) -> Self {
         let id = &volume.dataset().id;
         let stem = match &surfaces[..] {
-            [one] => one.stem.clone(),
+            [surface] => surface.stem.clone(),
             _ => safe_name(id),
         };
         let (mut meshes, mut statistics, mut extras) = (Vec::new(), Vec::new(), Vec::new());
@@ -436,12 +439,12 @@ impl MadeFile {
         format!("{}.{}", self.stem, self.format().extension())
     }
 
-    /// Its format.
+    /// Returns the file format.
     pub fn format(&self) -> Format {
         self.content.format
     }
 
-    /// Returns length and hash of the bytes that [`MadeFile::write`] writes.
+    /// Returns length and hash of the bytes that [`MadeFile::write`] produces.
     ///
     /// # Errors
     /// As [`Content::digest`].

@@ -1,6 +1,7 @@
 //! Requests for surfaces and slices as files, and the files that answer them.
 //!
-//! [`FileRequest`] is the request, [`MadeFile`] the file that answers it. The crate `isopeel-mesh` makes meshes of surfaces, and writes them.
+//! [`FileRequest`] is a request for surfaces, and [`MadeFile`] the resulting file. The crate `isopeel-mesh` converts surfaces to meshes and
+//! writes the file formats.
 
 use isopeel_extraction::ExtractionStatistics;
 use isopeel_view::Edit;
@@ -28,8 +29,8 @@ pub(crate) use schema::merged_schema;
 pub use surface_options::{SurfaceLook, SurfaceOptions};
 pub use surfaces::{FileSurface, OtherVolumes};
 
-/// Returns the metadata of a GLB: volume with the hash of its files, step, every value in force, statistics, notices, and frame and unit of
-/// its positions before the node transforms them. Equal requests have equal metadata, because times and memory are left out.
+/// Returns the metadata of a surface in a GLB. `frame` and `unit` describe the positions before the transform of the node. Equal requests
+/// have equal metadata, because the statistics leave out times and memory.
 fn extras(volume: &VolumeStep, edit: &Edit, mesh: &Mesh, statistics: &ExtractionStatistics) -> serde_json::Value {
     let dataset = volume.dataset();
     let identity = mesh.provenance.iter().find(|(name, _)| *name == "identity");

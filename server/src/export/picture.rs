@@ -4,34 +4,34 @@ use isopeel_kernels::{SampleType, Samples};
 
 use isopeel_extraction::Slice;
 
-/// Parameters with which a slice is drawn.
+/// Parameters for drawing a slice.
 pub(super) struct Picture {
-    /// Samples along rows, and rows.
+    /// Samples in each row, and number of rows.
     pub dims: [u32; 2],
     /// Value of missing samples.
     pub missing: Option<f32>,
-    /// Number of the field's units between black and white.
+    /// Difference between the values of white and black, in units of the field.
     pub window: f32,
-    /// The value that is shown as middle grey.
+    /// Value of middle grey.
     pub level: f32,
 }
 
 impl Picture {
-    /// Returns grey and alpha, a byte each; both are 0 if the sample is missing.
+    /// Returns grey and alpha as bytes; both are 0 if the sample is missing.
     fn pixel(&self, value: f32) -> [u8; 2] {
         if value.is_nan() || Some(value) == self.missing {
             return [0, 0];
         }
-        // If the field has only one value, the window is empty.
-        let share = if self.window > 0.0 {
+        // The window is 0 if the field has only one value.
+        let brightness = if self.window > 0.0 {
             (f64::from(value) - f64::from(self.level)) / f64::from(self.window) + 0.5
         } else {
             0.5
         };
-        [(share.clamp(0.0, 1.0) * 255.0).round() as u8, 255]
+        [(brightness.clamp(0.0, 1.0) * 255.0).round() as u8, 255]
     }
 
-    /// The picture as a PNG file.
+    /// Returns the slice as a PNG file.
     pub fn png(&self, slice: &Slice) -> Result<Vec<u8>, png::EncodingError> {
         let samples = samples_of(slice);
         let pixels: Vec<u8> = (0..samples.len()).flat_map(|i| self.pixel(samples.get(i))).collect();
@@ -46,7 +46,7 @@ impl Picture {
     }
 }
 
-/// Returns the samples of a slice, by their type.
+/// Converts the bytes of a slice to samples of its type.
 pub(super) fn samples_of(slice: &Slice) -> Samples {
     let bytes = &slice.bytes;
     match slice.sample_type {

@@ -18,10 +18,10 @@ use super::schema::merged_schema;
 use super::surface_options::SurfaceOptions;
 use super::{Compress, Format};
 
-/// Maximum fields whose values a file has. The samples of each are in memory while the file is made.
+/// Maximum number of fields whose values a file holds. The samples of each field stay in memory until the mesh is complete.
 const MAX_FIELD_VALUES: usize = 16;
 
-/// Maximum seconds that can be given as a limit for measuring: a day.
+/// Maximum time limit for measuring the error, in seconds: a day.
 const MAX_SECONDS: f64 = 86_400.0;
 
 fn is_zero(number: &f32) -> bool {
@@ -109,7 +109,7 @@ impl FileOptions {
     /// Checks the options for a volume.
     ///
     /// # Errors
-    /// Those of [`FileOptions::check_alone`], and a field that the volume does not have.
+    /// As [`FileOptions::check_alone`], and a field that the volume does not have.
     fn check(&self, dataset: &Dataset) -> Result<(), EditError> {
         self.check_alone()?;
         if let Some(name) = self
@@ -132,7 +132,7 @@ impl FileOptions {
     /// Checks the options that do not depend on the volume.
     ///
     /// # Errors
-    /// A unit that is not one of lengths, too many fields, one of them twice, or options that exclude each other.
+    /// A unit that is not a length unit, too many fields, a repeated field, a number out of its range, or options that exclude each other.
     fn check_alone(&self) -> Result<(), EditError> {
         let refuse = |field, why| Err(EditError { field, why });
         self.check_field_values()?;
@@ -151,7 +151,7 @@ impl FileOptions {
         self.check_clean()
     }
 
-    /// Checks the number of the fields whose values the file has, and that none is repeated.
+    /// Checks the number of `field_values`, and that no field is repeated.
     fn check_field_values(&self) -> Result<(), EditError> {
         let refuse = |why| {
             Err(EditError {
@@ -170,7 +170,7 @@ impl FileOptions {
         }
     }
 
-    /// Checks the range of the smoothing, and that there is a label to smooth.
+    /// Checks the range of `label_smoothing`, and that the request has a label.
     fn check_label_smoothing(&self) -> Result<(), EditError> {
         let refuse = |why| {
             Err(EditError {
@@ -193,7 +193,7 @@ impl FileOptions {
         }
     }
 
-    /// Checks that `clean` is not combined with an option that it excludes.
+    /// Checks that `clean` is not combined with options that it excludes.
     fn check_clean(&self) -> Result<(), EditError> {
         let refuse = |field, why| Err(EditError { field, why });
         if self.clean && self.compress == Compress::Meshopt {
@@ -213,7 +213,7 @@ impl FileOptions {
     pub fn export_work(&self, view: &View) -> ExportWork {
         let refining = match self.clean {
             true => Refining::Everywhere,
-            // A budget of bytes is fitted to a surface that is not refined.
+            // A budget of bytes is fitted to an unrefined surface; refinement would exceed it.
             false if view.cap && !matches!(view.budget, Some(Budget::Bytes(_))) => Refining::AtCaps,
             false => Refining::Never,
         };
@@ -223,7 +223,7 @@ impl FileOptions {
         }
     }
 
-    /// Returns whether the error is measured, and within what time.
+    /// Returns whether the error is measured, and its time limit.
     pub fn measuring(&self) -> Measuring {
         match self.measure {
             None => Measuring::Always,
@@ -238,14 +238,15 @@ impl FileOptions {
         !matches!(self.measuring(), Measuring::Within(_))
     }
 
-    /// Returns the unit of lengths that `unit` names; `None` if it names none.
+    /// Returns the length unit that `unit` names; `None` if `unit` is missing or no length unit.
     pub(super) fn length_unit(&self) -> Option<LengthUnit> {
         let unit = LengthUnit::parse(self.unit.as_deref()?)?;
         unit.metres().is_some().then_some(unit)
     }
 }
 
-/// One surface as a file, for the command line, batch jobs and REST alike. Missing options have the defaults of [`View::requested`].
+/// A request for one file. The command line, batch jobs and REST all use this type. Missing values have the defaults of
+/// [`View::requested`].
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct FileRequest {
     /// Time step.
@@ -259,7 +260,7 @@ pub struct FileRequest {
 }
 
 impl FileRequest {
-    /// Returns the view of a volume that the request leads to.
+    /// Checks the request, and returns its view of a volume.
     ///
     /// # Errors
     /// A value out of its range, or a field that the volume does not have.
@@ -332,7 +333,7 @@ impl<'de> Deserialize<'de> for FileRequest {
     }
 }
 
-/// The names that are neither of the edit nor of the options.
+/// The names of a request that belong neither to the edit nor to the options.
 #[derive(ToSchema)]
 #[expect(dead_code, reason = "its schema alone is used")]
 struct StepName {

@@ -1,9 +1,9 @@
-//! Schemas of requests that are written flat.
+//! Schemas of requests that serde flattens.
 
 use utoipa::openapi::schema::{AdditionalProperties, Object, Type};
 use utoipa::openapi::{RefOr, Schema};
 
-/// Returns the schema of an object that has the names of all these schemas.
+/// Returns the schema of an object that has the properties of all given schemas.
 pub(crate) fn merged_schema(schemas: impl IntoIterator<Item = RefOr<Schema>>, description: &str) -> RefOr<Schema> {
     let mut merged = Object::new();
     for schema in schemas {

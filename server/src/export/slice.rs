@@ -21,7 +21,7 @@ use super::picture::{Picture, samples_of};
 use super::placed::{PlacedPlane, nifti, nrrd};
 use crate::service::DeviceWorker;
 
-/// Maximum isovalues of one file.
+/// Maximum number of isovalues in one file.
 pub const MAX_ISOVALUES: usize = 64;
 
 /// Colours of contours, in the order of isovalues: the dark colours of Tango.
@@ -40,7 +40,7 @@ pub enum Axis {
 }
 
 impl Axis {
-    /// Returns the plane's own axes: along its rows, and across them.
+    /// Returns the axes of a plane across this axis: along its rows, and along its columns.
     pub const fn others(self) -> [Self; 2] {
         match self {
             Self::X => [Self::Y, Self::Z],
@@ -49,7 +49,7 @@ impl Axis {
         }
     }
 
-    /// Its name.
+    /// Returns the name: `x`, `y` or `z`.
     pub const fn name(self) -> &'static str {
         match self {
             Self::X => "x",
@@ -103,12 +103,11 @@ impl SliceFormat {
         }
     }
 
-    /// Whether it is a NIfTI.
     const fn is_nifti(self) -> bool {
         matches!(self, Self::Nii | Self::NiiGz)
     }
 
-    /// Whether it has contours instead of samples.
+    /// Whether files of this format hold contours instead of samples.
     pub const fn has_contours(self) -> bool {
         matches!(self, Self::Svg | Self::Geojson)
     }
@@ -117,17 +116,17 @@ impl SliceFormat {
 /// How a slice is shown.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SliceOptions {
-    /// Its file format.
+    /// File format.
     pub format: SliceFormat,
     /// Isovalues of contours.
     pub isovalues: Vec<f32>,
-    /// For a picture: how many of the field's units there are between black and white; `None`: the field's range.
+    /// For a picture: the difference between the values of white and black, in units of the field; `None`: the field's range.
     pub window: Option<f32>,
-    /// For a picture: the value in the middle; `None`: the middle of the field's range.
+    /// For a picture: the value of middle grey; `None`: the middle of the field's range.
     pub level: Option<f32>,
 }
 
-/// Why there is no such slice, for people.
+/// Why a slice is refused, as a message for users.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
 pub struct BadSlice(String);
@@ -135,13 +134,13 @@ pub struct BadSlice(String);
 /// The plane of a slice: its field, and its position in the volume.
 #[derive(Clone, Debug)]
 pub struct Plane {
-    /// The field that is shown.
+    /// Field whose samples are shown.
     pub field: Field,
     /// The axis across the plane.
     pub axis: Axis,
-    /// Index of the plane along that axis.
+    /// Index of the plane along `axis`.
     pub index: u32,
-    /// Samples along the plane's axes.
+    /// Samples in each row, and number of rows.
     pub dims: [u32; 2],
     volume: String,
     space: IndexSpace,
@@ -150,7 +149,7 @@ pub struct Plane {
 }
 
 impl Plane {
-    /// A plane of a field across an axis.
+    /// Returns the plane of a field across an axis.
     ///
     /// # Errors
     /// The volume has no such plane.
@@ -222,7 +221,7 @@ impl Plane {
         }
     }
 
-    /// Returns the world position of a place on the plane, which is given in samples.
+    /// Returns the world position of a point on the plane. The point is given in samples along the axes of the plane.
     pub fn world(&self, [x, y]: [f64; 2]) -> DVec3 {
         let mut index = DVec3::ZERO;
         let [first, second] = self.axis.others().map(|axis| axis as usize);
@@ -232,7 +231,7 @@ impl Plane {
         self.space.world(index)
     }
 
-    /// Returns one step of the even grid along each of the plane's axes, in the world.
+    /// Returns the world vectors of one step of the even grid along each axis of the plane.
     pub fn steps(&self) -> [[f64; 3]; 2] {
         let world = self.space.world_from_even;
         self.axis
@@ -240,10 +239,10 @@ impl Plane {
             .map(|axis| world.matrix3.col(axis as usize).to_array())
     }
 
-    /// The file of the plane, whose samples these are. `range`: of the field's values.
+    /// Returns the plane as a file. `slice` holds its samples; `range` is the range of the field's values.
     ///
     /// # Errors
-    /// A picture cannot be written, or nothing compressed.
+    /// The encoder of PNG or gzip failed.
     pub fn file(&self, slice: Slice, options: &SliceOptions, range: [f32; 2]) -> Result<Vec<u8>, png::EncodingError> {
         match options.format {
             SliceFormat::Raw => Ok(slice.bytes),
@@ -273,8 +272,8 @@ impl Plane {
             let value = samples.get(y as usize * width + x as usize);
             (!value.is_nan() && Some(value) != self.field.missing).then_some(value)
         };
-        let of = |&iso: &f32| (iso, contours(self.dims, value, iso));
-        isovalues.iter().map(of).collect()
+        let contours_at = |&iso: &f32| (iso, contours(self.dims, value, iso));
+        isovalues.iter().map(contours_at).collect()
     }
 
     fn placed(&self) -> PlacedPlane {
@@ -289,7 +288,7 @@ impl Plane {
         }
     }
 
-    /// Returns a title, for people.
+    /// Returns a title for users: volume, field, axis and index.
     fn title(&self) -> String {
         format!(
             "{}: {}, {} = {}",
@@ -300,7 +299,7 @@ impl Plane {
         )
     }
 
-    /// Converts a place to the plane's own coordinates: world units along its axes from the first sample.
+    /// Converts a point in samples to coordinates of the plane: distances from the first sample along both axes, in world units.
     fn in_plane(&self, [x, y]: [f64; 2]) -> [f64; 2] {
         let first = self.world([0.0; 2]);
         [
@@ -311,7 +310,7 @@ impl Plane {
 
     fn svg(&self, contours: &[(f32, Vec<Contour>)]) -> String {
         let [width, height] = self.in_plane(self.dims.map(|n| f64::from(n.saturating_sub(1))));
-        // The picture is as large as in the world, if the unit is known.
+        // If the unit is known, the picture has the real size of the plane.
         let size = match self.unit.and_then(LengthUnit::metres) {
             Some(metres) => format!(
                 "width=\"{}mm\" height=\"{}mm\"",
@@ -325,7 +324,7 @@ impl Plane {
             escaped(&self.title())
         );
         for ((iso, lines), color) in contours.iter().zip(COLORS.iter().cycle()) {
-            // Strokes do not scale: they are a pixel wide.
+            // The width of a stroke is in pixels, because `non-scaling-stroke` applies to all paths.
             let _ = writeln!(
                 text,
                 "<g id=\"iso-{iso}\" data-isovalue=\"{iso}\" fill=\"none\" stroke=\"{color}\" stroke-width=\"1\">"
@@ -371,30 +370,31 @@ impl Plane {
     }
 }
 
-/// Compresses a file. The header has no name and no time, so that equal requests have equal files.
+/// Compresses a file with gzip. The header has no name and no time, so that equal requests give equal bytes.
 fn gzipped(file: &[u8]) -> io::Result<Vec<u8>> {
     let mut gzip = GzEncoder::new(Vec::new(), Compression::default());
     gzip.write_all(file)?;
     gzip.finish()
 }
 
-/// Parses a list of isovalues with commas between them.
+/// Parses a comma-separated list of isovalues.
 ///
 /// # Errors
 /// An item that is not a number.
 pub fn isovalues(list: &str) -> Result<Vec<f32>, BadSlice> {
-    let each = list.split(',').map(str::trim).filter(|text| !text.is_empty());
-    each.map(|text| {
-        let refuse = |_| BadSlice(format!("iso: {text:?}, expected a number"));
-        text.parse().map_err(refuse)
-    })
-    .collect()
+    let texts = list.split(',').map(str::trim).filter(|text| !text.is_empty());
+    texts
+        .map(|text| {
+            let refuse = |_| BadSlice(format!("iso: {text:?}, expected a number"));
+            text.parse().map_err(refuse)
+        })
+        .collect()
 }
 
-/// Returns the samples of a plane, and the range of the field's values if a picture needs it.
+/// Returns the samples of a plane, and the range of the field's values. The range is `[0.0; 2]` unless the options need it.
 ///
 /// # Errors
-/// Those of the device, and a volume that cannot be read.
+/// Errors of the device, or of reading the volume.
 pub async fn shown_slice(
     worker: &DeviceWorker,
     volume: &VolumeStep,

@@ -1,4 +1,4 @@
-//! Options of one of several surfaces of a file in a request: source, look and edit.
+//! Options of one surface in a request for a file of several surfaces: source, look and edit.
 
 use isopeel_mesh::mesh::{Material, rgb};
 use isopeel_view::{Edit, EditError};
@@ -35,10 +35,10 @@ pub struct SurfaceLook {
 }
 
 impl SurfaceLook {
-    /// The names in JSON.
+    /// Names of the options in JSON.
     const NAMES: [&str; 6] = ["volume", "step", "label", "name", "color", "opacity"];
 
-    /// Returns the look of the surface.
+    /// Returns colour and opacity of the surface.
     ///
     /// # Errors
     /// An invalid colour or opacity.

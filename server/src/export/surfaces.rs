@@ -1,4 +1,4 @@
-//! The surfaces of a file: each has its own view, which the request of the file and the options of the surface lead to.
+//! The surfaces of a file. The view of each surface combines the request for the file with the options of the surface.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -10,14 +10,13 @@ use serde_json::Value;
 
 use super::{FileOptions, FileRequest, SurfaceOptions};
 
-/// Maximum surfaces of a file: all their meshes are in memory at once. Each surface is admitted only if the earlier ones leave enough
-/// memory.
+/// Maximum number of surfaces in a file. All their meshes are in memory at once.
 const MAX_FILE_SURFACES: usize = 64;
 
-/// Volumes of surfaces other than the file's own volume, by their names in the request.
+/// Volumes of single surfaces that are not the volume of the file, by their names in the request.
 pub type OtherVolumes = HashMap<String, Arc<Dataset>>;
 
-/// A surface of a file, checked and complete.
+/// A surface of a file, with all of its options checked and resolved.
 #[derive(Clone, Debug)]
 pub struct FileSurface {
     /// Volume and time step.
@@ -33,7 +32,7 @@ pub struct FileSurface {
 }
 
 impl FileSurface {
-    /// Returns the names of the fields whose values its file holds.
+    /// Returns the names of the fields whose values the file holds at the vertices of this surface.
     pub fn values(&self) -> &[String] {
         let options = &self.request.options;
         if options.format.holds_values() {
@@ -54,13 +53,14 @@ impl FileRequest {
     /// Returns the time steps that surfaces use, one for each surface.
     pub fn steps(&self) -> impl Iterator<Item = u32> {
         let surfaces = self.options.surfaces.iter();
-        let own = self.options.surfaces.is_empty().then_some(self.step);
+        // A request without `surfaces` has one surface, at the step of the request.
+        let single = self.options.surfaces.is_empty().then_some(self.step);
         surfaces
             .map(|surface| surface.look.step.unwrap_or(self.step))
-            .chain(own)
+            .chain(single)
     }
 
-    /// Returns the surfaces of the file, at least one, each with all of its values.
+    /// Returns the surfaces of the file, at least one.
     ///
     /// # Errors
     /// A value out of its range, a volume, time step or field that does not exist, or more surfaces than the format holds.
@@ -104,7 +104,7 @@ impl FileRequest {
             .try_for_each(|surface| surface.look.material().map(|_| ()))
     }
 
-    /// Returns one surface of the file: its options, completed by those of the file.
+    /// Returns one surface of the file. Options that the surface does not set are those of the file.
     fn surface(
         &self,
         surface: &SurfaceOptions,
@@ -155,8 +155,8 @@ impl FileRequest {
     }
 }
 
-/// Returns `edit` with the values of `over` in place of its own. As in edits of a view, a criterion of quality replaces all others, and a
-/// new feature loses the range of the old one.
+/// Returns `edit` with all values that `over` sets replaced. As in edits of a view, a quality criterion replaces all others, and a new
+/// feature drops the range of the old feature.
 fn overlay(edit: &Edit, over: &Edit) -> Edit {
     let mut edit = edit.clone();
     if over.beta.is_some() || over.error.is_some() || over.triangles.is_some() || over.bytes.is_some() {

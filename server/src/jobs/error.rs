@@ -1,4 +1,4 @@
-//! Why a batch job is refused, or is not there.
+//! Errors of requests about batch jobs.
 
 use isopeel_extraction::WorkError;
 use isopeel_view::EditError;
@@ -7,14 +7,14 @@ use isopeel_volumes::{IdentityError, UnknownStep};
 use super::MAX_EXTRACTIONS;
 use super::results::ReadResultError;
 
-/// Why a request about batch jobs fails. Each variant calls for a different reaction of the caller.
+/// Why a request about batch jobs fails. Each variant needs a different response of the caller.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum JobError {
     /// The owner has no such job.
     #[error("no job has the id {0:?}, /api/v1/jobs lists those there are")]
     UnknownJob(String),
-    /// There is no such volume.
+    /// The server has no such volume.
     #[error("no volume has the id {0:?}, /api/v1/volumes lists those there are")]
     UnknownVolume(String),
     /// An extraction asks for a time step that the volume does not have.
@@ -44,9 +44,9 @@ pub enum JobError {
         "the idempotency key {key:?} was used for another request, which is job {job}: expected a new key, or the same request"
     )]
     KeyReused {
-        /// The key.
+        /// The idempotency key.
         key: String,
-        /// The job that it made.
+        /// Id of the job that the first request with this key created.
         job: String,
     },
     /// The owner has too many unfinished jobs, or too many jobs in all.
@@ -54,14 +54,14 @@ pub enum JobError {
     TooMany {
         /// Number of jobs.
         found: u64,
-        /// Kind of jobs that the limit is for.
+        /// Kind of jobs that the limit counts.
         which: &'static str,
         /// Maximum number of such jobs.
         limit: u64,
         /// Advice to the user.
         advice: &'static str,
     },
-    /// The job's results may exceed what is left of the quota.
+    /// The results of the job may exceed the rest of the quota.
     #[error(
         "the results may take up to {estimated} bytes, {left} of the quota of {quota} are left: ask for a budget (`triangles`) or for fewer extractions, or delete jobs"
     )]
@@ -76,7 +76,7 @@ pub enum JobError {
     /// The identity of the job's input files cannot be determined.
     #[error(transparent)]
     Input(#[from] IdentityError),
-    /// Other jobs are being estimated.
+    /// The server is estimating other jobs.
     #[error("other jobs are being accepted, try again in a few seconds")]
     Busy,
     /// The volume cannot be read, or the device does not work.
@@ -88,15 +88,15 @@ pub enum JobError {
     /// A finished job cannot be cancelled.
     #[error("job {job} is {state}, expected one that is queued or running")]
     Finished {
-        /// The job.
+        /// Id of the job.
         job: String,
-        /// Its state.
+        /// State of the job.
         state: &'static str,
     },
     /// An extraction has no result.
     #[error("extraction {extraction} of job {job} {why}")]
     NoResult {
-        /// The job.
+        /// Id of the job.
         job: String,
         /// Number of the extraction, from 0.
         extraction: u32,
@@ -118,7 +118,7 @@ pub enum StoreError {
     /// SQLite failed.
     #[error("the job store failed")]
     Sqlite(#[from] rusqlite::Error),
-    /// A newer program has written the store.
+    /// A newer version of this program has written the store.
     #[error(
         "the job store has version {found}, this program knows those up to {known}: start a newer one, or name another state folder"
     )]

@@ -1,4 +1,5 @@
-//! Estimates what a job costs, before it is accepted. The full surfaces of a few of its extractions are counted without being made.
+//! Estimates the cost of a job before the job is accepted. The device counts the triangles of a few extractions' full surfaces, but makes
+//! no meshes.
 
 use std::sync::Arc;
 
@@ -12,15 +13,16 @@ use super::state::Estimate;
 use crate::export::{FileRequest, OtherVolumes};
 use crate::service::DeviceWorker;
 
-/// Extractions whose surfaces are counted: the first, the last and the one in the middle. Each may read a time step.
+/// Number of extractions whose triangles are counted: the first, the middle and the last one. Few, because each may have to load a time
+/// step.
 const SAMPLES: usize = 3;
 
-/// Time for each triangle of the full surface, with its part of the tree, the cut and the file. A guess for two cores of a CPU, used until
-/// extractions of the job have been timed.
+/// Seconds for each triangle of the full surface, including the tree, the cut and the file. A guess for two cores of a CPU. It is used
+/// until the first extractions of the job have been timed.
 const SECONDS_PER_TRIANGLE: f64 = 2e-6;
 
-/// Estimates extractions of a volume. Triangles are those of full surfaces, or of budgets. How far an error or β decimates a surface is not
-/// known before it is made.
+/// Estimates the cost of extractions of a volume. A budget bounds the triangles of a surface; otherwise the full surface is assumed,
+/// because the effect of an error or β is unknown before the surface is made.
 ///
 /// # Errors
 /// The volume cannot be read, or the device does not work.
@@ -42,23 +44,26 @@ pub(super) async fn estimate(
             seconds += count.wall.as_secs_f64() + count.triangles as f64 * SECONDS_PER_TRIANGLE;
         }
     }
-    let of_each = triangles / samples.len() as f64;
+    let mean_triangles = triangles / samples.len() as f64;
     let bytes = extractions.iter().map(|(request, _)| {
         let fields = request.options.field_values.len();
-        request.options.format.typical_bytes(of_each as u64, fields as u64)
+        request
+            .options
+            .format
+            .typical_bytes(mean_triangles as u64, fields as u64)
     });
-    let all = extractions.len() as f64;
+    let count = extractions.len() as f64;
     Ok(Estimate {
-        triangles: (of_each * all) as u64,
+        triangles: (mean_triangles * count) as u64,
         bytes: bytes.sum(),
-        seconds: seconds / samples.len() as f64 * all,
+        seconds: seconds / samples.len() as f64 * count,
     })
 }
 
 /// Why there is no estimate.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum EstimateError {
-    /// There is no such step.
+    /// The volume has no such time step.
     #[error(transparent)]
     Step(#[from] UnknownStep),
     /// The volume cannot be read, or the device does not work.
@@ -66,7 +71,7 @@ pub(super) enum EstimateError {
     Work(#[from] WorkError),
 }
 
-/// Returns evenly spaced extractions of `count`, including the first and the last.
+/// Returns the indices of at most [`SAMPLES`] evenly spaced extractions among `count`, including the first and the last.
 fn samples(count: usize) -> Vec<usize> {
     let last = count.saturating_sub(1);
     let mut samples: Vec<_> = (0..SAMPLES).map(|i| last * i / (SAMPLES - 1)).collect();

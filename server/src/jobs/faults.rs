@@ -1,5 +1,5 @@
-//! Tests which faults jobs survive: each write, fsync, truncation and renaming of a process that makes a job fails in turn, and in turn
-//! ends the process. Real calls of a real process: the test runs itself, with `faults.c` between it and the system.
+//! Tests that jobs survive faults. A child process makes a job. In each run, one of its writes, fsyncs, truncations and renames fails, or
+//! ends the process. The calls are real system calls: the test starts its own executable, and preloads `faults.c` to intercept them.
 
 use std::path::Path;
 use std::process::{Command, ExitStatus, Stdio};

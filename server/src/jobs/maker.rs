@@ -1,4 +1,4 @@
-//! Makes the files of extractions on the device, in the same way as every other export.
+//! Makes the files of extractions on the device, by the same code as every other export.
 
 use std::collections::HashMap;
 use std::io::Write;
@@ -15,20 +15,20 @@ use super::store::work::Work;
 use crate::export::{self, ExportError, MadeFile, MakeError, OtherVolumes};
 use crate::service::DeviceWorker;
 
-/// Makes files.
+/// Makes the files of extractions. A trait, so that tests of the runner need no device.
 #[async_trait]
 pub trait Maker: Send + Sync + 'static {
-    /// Makes the file of an extraction from the input that its job has pinned.
+    /// Makes the file of an extraction. Fails if the input files are not those that the job has pinned.
     async fn make(&self, work: &Work, token: &CancellationToken) -> Result<Box<dyn ResultFile>, MakeFailure>;
 
-    /// Whether the input is still the one that the job has pinned.
+    /// Checks that the input files are still those that the job has pinned.
     async fn check(&self, work: &Work) -> Result<(), MakeFailure>;
 }
 
-/// Why a file was not made. The runner reacts differently to each variant.
+/// Why a file was not made. Each variant tells the runner how to continue.
 #[derive(Debug)]
 pub enum MakeFailure {
-    /// The server is too busy, or was asked to stop.
+    /// The server is too busy, or shuts down. The attempt does not count.
     Later,
     /// Another attempt may succeed.
     Retry(Cause),
@@ -40,11 +40,11 @@ pub enum MakeFailure {
     JobFailed(Cause),
 }
 
-/// For each user, the job whose files were hashed last since the server started. For further extractions of that job, only size and time of
-/// the files are checked. One job per user is enough, because users take turns.
+/// For each user, the id of the job whose input files were hashed most recently. Further extractions of the same job check only size and
+/// modification time of the files. One job per user is enough, because the jobs of a user run one after another.
 type Hashed = Arc<Mutex<HashMap<String, String>>>;
 
-/// Makes files of the volumes of a server.
+/// Makes files from the volumes of the server.
 pub(super) struct DeviceMaker {
     catalog: SharedCatalog,
     worker: DeviceWorker,
@@ -70,7 +70,7 @@ impl DeviceMaker {
         })
     }
 
-    /// As [`Maker::check`], for a dataset. Hashes the files if another job of this user was checked before.
+    /// Does the work of [`Maker::check`] for a dataset. Hashes the files, unless the previous check for this user was for the same job.
     async fn check_input(&self, work: &Work, dataset: Arc<Dataset>) -> Result<(), MakeFailure> {
         let (work, hashed) = (work.clone(), Arc::clone(&self.hashed));
         let check = move || check(&work, &dataset, &hashed);
@@ -113,8 +113,8 @@ impl Maker for DeviceMaker {
         };
         let volume =
             VolumeStep::new(dataset, work.request.step).map_err(|error| refused("unknown-step", error.to_string()))?;
-        let made = export::make(&self.worker, &volume, &OtherVolumes::new(), &work.request, token).await;
-        Ok(Box::new(made.map_err(failure)?))
+        let file = export::make(&self.worker, &volume, &OtherVolumes::new(), &work.request, token).await;
+        Ok(Box::new(file.map_err(failure)?))
     }
 
     async fn check(&self, work: &Work) -> Result<(), MakeFailure> {
@@ -122,7 +122,7 @@ impl Maker for DeviceMaker {
     }
 }
 
-/// Returns how the runner reacts to an error.
+/// Converts an error to the way in which the runner continues.
 pub(crate) fn failure(error: MakeError) -> MakeFailure {
     let cause = |code: &str, detail: String| Cause {
         code: code.into(),

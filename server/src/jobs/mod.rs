@@ -1,11 +1,11 @@
-//! Batch jobs: many surfaces of one volume, made one after the other and kept until a user deletes the job. Jobs survive the end of the
-//! server process, including crashes.
+//! Batch jobs: many surfaces of one volume, made one after another. The results are stored until a user deletes the job. Jobs survive
+//! restarts and crashes of the server.
 //!
 //! - `state`: jobs as clients see them; `error`: why a request fails.
-//! - `state_folder`: the folder in which they are kept, used by one server at a time.
-//! - `store`: their state, in SQLite. `results`: their files, in an object store.
-//! - `estimate`: what a job costs, before it is accepted.
-//! - `runner`: makes them; `maker`: on the device.
+//! - `state_folder`: the folder that stores jobs, used by one server at a time.
+//! - `store`: the state of jobs, in SQLite; `results`: the files of jobs, in an object store.
+//! - `estimate`: estimates the cost of a job before the job is accepted.
+//! - `runner`: runs the jobs; `maker`: makes a single file on the device.
 
 mod error;
 mod estimate;
@@ -42,7 +42,7 @@ pub use state::{
 pub use state_folder::{StateFolder, StateFolderError};
 pub use store::requests::ResultInfo;
 
-/// Owner of jobs that are made without a server.
+/// Owner of jobs on the command line, which has no server.
 pub use crate::access::OPERATOR;
 use crate::export::{FileRequest, OtherVolumes};
 use crate::service::DeviceWorker;
@@ -57,19 +57,20 @@ use store::requests::{NewJob, RequestKey};
 pub const MAX_EXTRACTIONS: usize = 10_000;
 /// Maximum bytes of a request: 10,000 extractions of some 800 bytes.
 pub const MAX_REQUEST_BYTES: usize = 8 << 20;
-/// Maximum jobs of an owner that are not finished. One runs at a time: more would wait for days.
+/// Maximum unfinished jobs of an owner. One job runs at a time, so more would wait for days.
 pub const MAX_UNFINISHED_JOBS: u64 = 100;
-/// Maximum jobs of an owner in all: what `GET jobs` lists, some 500 bytes each.
+/// Maximum jobs of an owner. `GET jobs` lists them all, in some 500 bytes each.
 pub const MAX_JOBS: u64 = 1_000;
-/// Maximum attempts of an extraction. They are counted before they start, so that one which ends the process is not retried for ever.
+/// Maximum attempts of an extraction. An attempt counts before it starts, so that an extraction that crashes the process is not retried
+/// forever.
 pub const MAX_ATTEMPTS: u32 = 3;
-/// Maximum jobs that are estimated at a time: each counts surfaces on the device and reads the files that it pins.
+/// Maximum jobs that are estimated at the same time. An estimate keeps the device busy, and pinning the input reads all of its files.
 const CONCURRENT_SUBMITS: usize = 1;
 
-/// Random bytes of a job's id: enough that a user cannot guess the id of another user's job.
+/// Random bytes in the id of a job. 128 bits, so that no user can guess the id of another user's job.
 const ID_BYTES: usize = 16;
 
-/// Why jobs cannot be kept.
+/// Why the jobs of a state folder cannot be opened.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum OpenError {
@@ -79,17 +80,17 @@ pub enum OpenError {
     /// The store cannot be opened.
     #[error("state folder {}", folder.display())]
     Store {
-        /// The folder.
+        /// Path of the state folder.
         folder: PathBuf,
-        /// Why not.
+        /// Error of the store.
         source: StoreError,
     },
     /// The results cannot be opened.
     #[error("state folder {}: results", folder.display())]
     Results {
-        /// The folder.
+        /// Path of the state folder.
         folder: PathBuf,
-        /// Why not.
+        /// Error of the system.
         source: std::io::Error,
     },
 }
@@ -97,7 +98,7 @@ pub enum OpenError {
 /// Limits of one owner.
 #[derive(Clone, Copy, Debug)]
 pub struct Limits {
-    /// Bytes of all results, those that are estimated included.
+    /// Maximum bytes of all results, including the estimated results of unfinished jobs.
     pub quota_bytes: u64,
 }
 
@@ -106,12 +107,13 @@ pub struct Limits {
 pub struct Jobs(Arc<Shared>);
 
 struct Shared {
-    /// Keeps the folder locked while anything here is in use.
+    /// The lock on the folder.
     _folder: StateFolder,
     store: Store,
     results: Results,
     catalog: SharedCatalog,
     worker: DeviceWorker,
+    /// Cache of file hashes, so that a submitted job need not hash files that have not changed.
     seen: SeenFiles,
     limits: Limits,
     submits: Semaphore,
@@ -120,8 +122,8 @@ struct Shared {
 }
 
 impl Jobs {
-    /// Opens the jobs of a folder, and removes files that an earlier process has left unfinished. Jobs are made while [`Jobs::run`] runs,
-    /// until `stop` is cancelled.
+    /// Opens the jobs of a folder, and removes incomplete files of earlier processes. Jobs run only while [`Jobs::run`] runs, until `stop`
+    /// is cancelled.
     ///
     /// # Errors
     /// [`OpenError`].
@@ -142,13 +144,13 @@ impl Jobs {
             source,
         };
         let file = path.join("jobs.sqlite");
-        let opened = aside(move || Store::open(&file)).await;
+        let opened = run_blocking(move || Store::open(&file)).await;
         let store = opened.and_then(|opened| opened).map_err(of_store)?;
-        let kept = store.results().await.map_err(of_store)?;
+        let recorded = store.results().await.map_err(of_store)?;
         let (folder_of_results, volumes) = (path.join("results"), catalog.now());
-        let opened = aside(move || {
+        let opened = run_blocking(move || {
             let results = Results::open(&folder_of_results)?;
-            results.sweep(&kept)?;
+            results.sweep(&recorded)?;
             let seen = SeenFiles::default();
             volumes.datasets().iter().for_each(|dataset| seen.note(dataset));
             Ok((results, seen))
@@ -168,10 +170,10 @@ impl Jobs {
         })))
     }
 
-    /// Makes submitted jobs until `stop` is cancelled, then returns within moments.
+    /// Runs submitted jobs until `stop` is cancelled, then returns soon.
     pub async fn run(self) {
         let shared = &self.0;
-        // Waits for the device, so that no attempt is spent while it is being opened.
+        // Waits until the device is open, because an attempt that fails before would count.
         tokio::select! {
             _ = shared.worker.ready() => {}
             () = shared.stop.cancelled() => return,
@@ -188,7 +190,8 @@ impl Jobs {
         runner.run().await;
     }
 
-    /// Accepts a job, and returns it with `true`. If the same request with this key was accepted before, returns that job with `false`.
+    /// Accepts a job. Returns the job, and whether the job is new. If the same request with the same key was accepted before, returns the
+    /// earlier job.
     ///
     /// # Errors
     /// The request is invalid, or exceeds a limit.
@@ -200,15 +203,15 @@ impl Jobs {
     ) -> Result<(JobInfo, bool), JobError> {
         let shared = &self.0;
         let request_key = request_key(who.user(), key, &request)?;
-        if let Some(made) = shared.store.repeated(request_key.clone()).await? {
-            return Ok((self.shown(made), false));
+        if let Some(earlier) = shared.store.repeated(request_key.clone()).await? {
+            return Ok((self.with_pause(earlier), false));
         }
         let volume = request.volume.clone();
         let dataset = shared.catalog.find(&volume, who);
         let dataset = &dataset.ok_or_else(|| JobError::UnknownVolume(volume.clone()))?;
         let extractions = views(request, dataset)?;
         let _permit = shared.submits.try_acquire().map_err(|_| JobError::Busy)?;
-        // Dropped with this future when the client disconnects, which cancels the work.
+        // If the client disconnects, this future is dropped, and the guard cancels the estimate.
         let token = CancellationToken::new();
         let _cancel = token.clone().drop_guard();
         let estimated = estimate(&shared.worker, dataset, &extractions, &token).await;
@@ -227,32 +230,32 @@ impl Jobs {
                 .collect::<Result<_, _>>()?,
             estimate,
         };
-        let (made, is_new) = shared.store.submit(job, shared.limits).await?;
+        let (submitted, is_new) = shared.store.submit(job, shared.limits).await?;
         shared.signals.wake.notify_one();
-        Ok((self.shown(made), is_new))
+        Ok((self.with_pause(submitted), is_new))
     }
 
     /// Returns the identity of the files that the job reads, as JSON.
     async fn pin(&self, dataset: &Arc<Dataset>, extractions: &[(FileRequest, View)]) -> Result<String, JobError> {
         let steps: BTreeSet<u32> = extractions.iter().flat_map(|(request, _)| request.steps()).collect();
         let (jobs, dataset) = (self.clone(), Arc::clone(dataset));
-        let pinned = aside(move || InputIdentity::of(&dataset, &steps, &jobs.0.seen));
+        let pinned = run_blocking(move || InputIdentity::of(&dataset, &steps, &jobs.0.seen));
         json(&pinned.await??)
     }
 
     /// Returns all jobs of an owner, the latest first.
     ///
     /// # Errors
-    /// The store's.
+    /// [`JobError::Store`].
     pub async fn list(&self, owner: &str) -> Result<Vec<JobInfo>, JobError> {
         let jobs = self.0.store.list(owner).await?;
-        Ok(jobs.into_iter().map(|job| self.shown(job)).collect())
+        Ok(jobs.into_iter().map(|job| self.with_pause(job)).collect())
     }
 
     /// Returns the number of jobs of all owners in each state.
     ///
     /// # Errors
-    /// The store's.
+    /// [`JobError::Store`].
     pub async fn counts(&self) -> Result<Vec<(JobState, u64)>, JobError> {
         self.0.store.counts().await
     }
@@ -262,10 +265,10 @@ impl Jobs {
     /// # Errors
     /// [`JobError::UnknownJob`].
     pub async fn get(&self, owner: &str, id: &str) -> Result<JobInfo, JobError> {
-        Ok(self.shown(self.0.store.get(owner, id).await?))
+        Ok(self.with_pause(self.0.store.get(owner, id).await?))
     }
 
-    /// Ends a job that is queued or running. Its results stay.
+    /// Cancels a queued or running job. Results that are complete stay.
     ///
     /// # Errors
     /// [`JobError::UnknownJob`], [`JobError::Finished`].
@@ -283,13 +286,13 @@ impl Jobs {
     pub async fn delete(&self, owner: &str, id: &str) -> Result<(), JobError> {
         self.0.store.delete(owner, id).await?;
         let (results, job) = (self.0.results.clone(), id.to_owned());
-        // If this fails, the next start of the server removes the results.
-        let _ = aside(move || results.remove_job(&job)).await;
+        // An error is ignored, because the next start of the server removes files without a job.
+        let _ = run_blocking(move || results.remove_job(&job)).await;
         self.0.signals.changes.send_replace(());
         Ok(())
     }
 
-    /// Returns some of the events of a job after the event `after`, and whether the job is finished.
+    /// Returns the next events of a job after the event with id `after`, at most one page, and whether the job is finished.
     ///
     /// # Errors
     /// [`JobError::UnknownJob`].
@@ -297,17 +300,17 @@ impl Jobs {
         self.0.store.events(owner, id, after).await
     }
 
-    /// Returns an event if the job has been paused or resumed since its client was last told. `told` is the reason of the pause that the
-    /// client knows. `None` if nothing has changed, or the job is finished.
+    /// Returns an event if the job has been paused or resumed since the last notification of the client. `notified` is the reason of the
+    /// pause in that notification, or `None` for no pause. Returns `None` if nothing has changed, or if the job is finished.
     ///
     /// # Errors
     /// [`JobError::UnknownJob`].
-    pub async fn pause(&self, owner: &str, id: &str, told: Option<&str>) -> Result<Option<JobEvent>, JobError> {
-        if self.0.signals.paused() == told {
+    pub async fn pause(&self, owner: &str, id: &str, notified: Option<&str>) -> Result<Option<JobEvent>, JobError> {
+        if self.0.signals.paused() == notified {
             return Ok(None);
         }
         let job = self.get(owner, id).await?;
-        let is_new = !job.state.is_finished() && job.paused.as_deref() != told;
+        let is_new = !job.state.is_finished() && job.paused.as_deref() != notified;
         Ok(is_new.then_some(JobEvent {
             id: None,
             state: job.state,
@@ -317,17 +320,17 @@ impl Jobs {
         }))
     }
 
-    /// Returns a receiver that is notified whenever something has happened to a job.
+    /// Returns a receiver that is notified of every change of a job.
     pub fn changes(&self) -> watch::Receiver<()> {
         self.0.signals.changes.subscribe()
     }
 
-    /// Resolves when no more jobs are made.
+    /// Resolves when `stop` is cancelled, so that no more jobs run.
     pub async fn stopped(&self) {
         self.0.stop.cancelled().await;
     }
 
-    /// Returns all extractions of a job, in their order.
+    /// Returns all extractions of a job, in the order of the request.
     ///
     /// # Errors
     /// [`JobError::UnknownJob`].
@@ -343,7 +346,7 @@ impl Jobs {
         self.0.store.result(owner, id, extraction).await
     }
 
-    /// Reads bytes of a result that [`Jobs::result`] has found.
+    /// Reads a range of bytes of a result. [`Jobs::result`] must have returned this result before.
     ///
     /// # Errors
     /// [`JobError::Result`].
@@ -351,13 +354,13 @@ impl Jobs {
         Ok(self.0.results.read((id, extraction), range).await?)
     }
 
-    /// Returns the path of a result's file, if it is there.
+    /// Returns the path of the file of a result, if the file exists.
     pub fn result_path(&self, id: &str, extraction: u32) -> Option<PathBuf> {
         self.0.results.path((id, extraction))
     }
 
-    /// Adds the reason why the job is paused, if it is.
-    fn shown(&self, job: JobInfo) -> JobInfo {
+    /// Adds the reason of the current pause to an unfinished job.
+    fn with_pause(&self, job: JobInfo) -> JobInfo {
         let paused = self.0.signals.paused().filter(|_| !job.state.is_finished());
         JobInfo {
             paused: paused.map(str::to_owned),
@@ -366,10 +369,10 @@ impl Jobs {
     }
 }
 
-/// Runs blocking disk work on a thread of the blocking pool, because the threads of the server's tasks are few.
-async fn aside<T: Send + 'static>(work: impl FnOnce() -> T + Send + 'static) -> Result<T, StoreError> {
-    let done = tokio::task::spawn_blocking(work).await;
-    done.map_err(|_| StoreError::Panicked)
+/// Runs blocking disk work on the blocking pool of tokio, so that it does not block the tasks of the server.
+async fn run_blocking<T: Send + 'static>(work: impl FnOnce() -> T + Send + 'static) -> Result<T, StoreError> {
+    let joined = tokio::task::spawn_blocking(work).await;
+    joined.map_err(|_| StoreError::Panicked)
 }
 
 /// Maximum bytes of an idempotency key.
@@ -388,7 +391,7 @@ fn request_key(owner: &str, key: Option<String>, request: &JobRequest) -> Result
     })
 }
 
-/// Returns each extraction with the view of its first surface. All of them have been checked.
+/// Checks all extractions, and returns each with the view of its first surface.
 fn views(request: JobRequest, dataset: &Arc<Dataset>) -> Result<Vec<(FileRequest, View)>, JobError> {
     let count = request.extractions.len();
     if !(1..=MAX_EXTRACTIONS).contains(&count) {
@@ -411,7 +414,7 @@ fn json(value: &impl serde::Serialize) -> Result<String, JobError> {
 fn new_id() -> String {
     let mut bytes = [0; ID_BYTES];
     if let Err(error) = getrandom::fill(&mut bytes) {
-        // Uses the time instead, so that ids still differ.
+        // Falls back to the time, so that ids still differ.
         tracing::warn!(%error, "no random numbers for the id of a job");
         bytes = std::time::SystemTime::now()
             .duration_since(std::time::UNIX_EPOCH)

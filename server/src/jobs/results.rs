@@ -1,4 +1,4 @@
-//! The files of finished extractions, in an object store. When a write returns, its file is on the disk.
+//! The files of finished extractions, in an object store. [`Results::write`] returns after the file was flushed to the disk.
 
 use std::collections::HashSet;
 use std::io::{self, Write};
@@ -18,7 +18,7 @@ use tokio_util::sync::CancellationToken;
 
 use crate::export::ExportError;
 
-/// Bytes of a write.
+/// Bytes of each write to the store.
 const PART_BYTES: usize = 4 << 20;
 
 /// SHA-256 of a result.
@@ -26,38 +26,38 @@ pub type Checksum = [u8; 32];
 
 /// A file that can be written as a result.
 pub trait ResultFile: Send + 'static {
-    /// Writes it.
+    /// Writes the file to `out`.
     ///
     /// # Errors
-    /// What the format cannot hold, or the errors of `out`.
+    /// The format cannot hold the surface, or `out` fails.
     fn write(&self, out: &mut dyn Write) -> Result<(), ExportError>;
-    /// Triangles of its surface.
+    /// Returns the number of triangles of the surface.
     fn triangles(&self) -> u64;
-    /// How far its surface is from the full one, if that was measured.
+    /// Returns the distance between the surface and the full-resolution surface; `None` if it was not measured.
     fn error(&self) -> Option<MeasuredError>;
-    /// What its format could not keep.
+    /// Returns notices about what the file format could not hold.
     fn notices(&self) -> Vec<String>;
 }
 
-/// A result that is on the disk.
+/// A result that was flushed to the disk.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Written {
-    /// Its length.
+    /// Length in bytes.
     pub bytes: u64,
-    /// Its checksum.
+    /// SHA-256 of the bytes.
     pub checksum: Checksum,
 }
 
-/// Why a result is not on the disk.
+/// Why a result was not written.
 #[derive(Debug, thiserror::Error)]
 pub enum WriteError {
-    /// The disk is full, or the quota of its user.
+    /// The disk is full, or the disk quota of the server's user is used up.
     #[error("the disk of the state folder is full")]
     Full(#[source] object_store::Error),
-    /// The result cannot be written.
+    /// The store failed for another reason.
     #[error("the result cannot be written")]
     Storage(#[source] object_store::Error),
-    /// The owner's results would exceed their quota.
+    /// The results of the owner would exceed the quota.
     #[error("the result takes more than the {left} bytes that are left of the quota")]
     OverQuota {
         /// Bytes that were left of the quota.
@@ -87,10 +87,10 @@ pub struct Results {
 }
 
 impl Results {
-    /// Opens the store in a folder, which is made if it is missing.
+    /// Opens the store in a folder. Creates the folder if it does not exist.
     ///
     /// # Errors
-    /// It cannot be made or opened.
+    /// The folder cannot be created or opened.
     pub fn open(folder: &Path) -> io::Result<Self> {
         std::fs::create_dir_all(folder)?;
         let store = LocalFileSystem::new_with_prefix(folder).map_err(io::Error::other)?;
@@ -100,17 +100,17 @@ impl Results {
         })
     }
 
-    /// Uses another store for the same files, to inject faults in tests.
+    /// Wraps the store, to inject faults in tests.
     #[cfg(test)]
-    pub(super) fn with_store(mut self, change: impl FnOnce(Arc<dyn ObjectStore>) -> Arc<dyn ObjectStore>) -> Self {
-        self.store = change(self.store);
+    pub(super) fn with_store(mut self, wrap: impl FnOnce(Arc<dyn ObjectStore>) -> Arc<dyn ObjectStore>) -> Self {
+        self.store = wrap(self.store);
         self
     }
 
-    /// Writes a result in place of one that an earlier attempt has left. Returns when it is on the disk.
+    /// Writes the result of an extraction, and replaces the file of an earlier attempt. Returns after the file was flushed to the disk.
     ///
     /// # Errors
-    /// [`WriteError`]. The partial result is removed, except if the process ends before that.
+    /// [`WriteError`]. Removes the partial file, unless the process ends first.
     pub async fn write(
         &self,
         (job, extraction): (&str, u32),
@@ -143,16 +143,17 @@ impl Results {
             (None, Err(error)) => Err(WriteError::Export(error)),
         };
         if outcome.is_err() {
-            // The error is ignored: aborting fails if the upload was already completed in part.
+            // An error is ignored, because `abort` fails if `complete` has failed halfway. `remove_staged` then removes the rest.
             let _ = out.upload.abort().await;
             self.remove_staged(job, extraction);
         }
         outcome
     }
 
-    /// Removes the temporary files of a failed write, because on a full disk the next write needs the space. Those of an earlier process
-    /// are removed when a server starts.
+    /// Removes the temporary files of a failed write, because the next write needs the space if the disk is full. [`Results::sweep`]
+    /// removes temporary files of earlier processes.
     fn remove_staged(&self, job: &str, extraction: u32) {
+        // `LocalFileSystem` appends `#` and a number to the name of a file that is not complete.
         let staged = format!("{extraction}#");
         for entry in std::fs::read_dir(self.folder.join(job)).into_iter().flatten().flatten() {
             if entry.file_name().to_string_lossy().starts_with(&staged) {
@@ -161,10 +162,10 @@ impl Results {
         }
     }
 
-    /// Reads bytes of a result.
+    /// Reads a range of bytes of a result.
     ///
     /// # Errors
-    /// It cannot be read.
+    /// The file cannot be read.
     pub async fn read(
         &self,
         (job, extraction): (&str, u32),
@@ -174,7 +175,7 @@ impl Results {
         Ok(self.store.get_opts(&key(job, extraction), options).await?.into_stream())
     }
 
-    /// Returns the path of a result, if it is there.
+    /// Returns the path of a result, if the file exists.
     pub fn path(&self, (job, extraction): (&str, u32)) -> Option<PathBuf> {
         let path = self.folder.join(job).join(extraction.to_string());
         path.is_file().then_some(path)
@@ -199,7 +200,7 @@ impl Results {
         }
     }
 
-    /// Removes all files except these: the others were left by an earlier process.
+    /// Removes all files that earlier processes have left, except the results in `kept`: ids of jobs and numbers of extractions.
     ///
     /// # Errors
     /// The folder cannot be read.
@@ -236,23 +237,25 @@ fn storage(error: object_store::Error) -> WriteError {
     }
 }
 
-/// Whether an error says that there is no space left.
+/// Whether an error or one of its sources says that the disk is full.
 fn is_full(error: &(dyn std::error::Error + 'static)) -> bool {
     std::iter::successors(Some(error), |error| error.source())
         .filter_map(|error| error.downcast_ref::<io::Error>())
         .any(isopeel_volumes::disk::is_full)
 }
 
-/// Writer that sends its bytes to the store in parts, and hashes them. Used on a blocking thread.
+/// Writer that hashes its bytes and sends them to the store in parts of [`PART_BYTES`]. Runs on a blocking thread.
 struct PartWriter {
     upload: Box<dyn MultipartUpload>,
     part: Vec<u8>,
     hasher: Sha256,
+    /// Bytes that were sent.
     bytes: u64,
+    /// Maximum bytes of the file: the rest of the owner's quota.
     bytes_left: u64,
     token: CancellationToken,
     runtime: Handle,
-    /// Why a write failed.
+    /// Why the first failed write failed.
     failed: Option<WriteError>,
 }
 
@@ -283,9 +286,9 @@ impl Write for PartWriter {
         if self.part.len() == PART_BYTES {
             self.send_part()?;
         }
-        let taken = bytes.len().min(PART_BYTES - self.part.len());
-        self.part.extend_from_slice(&bytes[..taken]);
-        Ok(taken)
+        let count = bytes.len().min(PART_BYTES - self.part.len());
+        self.part.extend_from_slice(&bytes[..count]);
+        Ok(count)
     }
 
     fn flush(&mut self) -> io::Result<()> {

@@ -1,9 +1,14 @@
-//! Makes the extractions of all jobs, one at a time. Users take turns; jobs of one user run in the order in which they were submitted. On
-//! the device and on processors, viewers have priority over jobs, as they have over every export.
+//! Makes the extractions of all jobs, one at a time. Users take turns; the jobs of a user run in the order of their submission. Viewers
+//! have priority over jobs on the device and on processors, as over every export.
 //!
-//! Jobs survive the end of the process because of the order of an attempt: the attempt is counted, the file is made, the file and its name
-//! are flushed to the disk, and only then does the store record that the extraction is done. If the process ends between two of these
-//! steps, the extraction is made once more, and its file replaces the one that was left.
+//! An attempt has four steps, so that jobs survive the end of the process:
+//!
+//! 1. The store counts the attempt.
+//! 2. The maker makes the file.
+//! 3. The file and its folder are flushed to the disk.
+//! 4. The store records that the extraction is done.
+//!
+//! If the process ends before the last step, the next process repeats the attempt, and its file replaces the earlier one.
 
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -18,16 +23,17 @@ use super::state::Cause;
 use super::store::Store;
 use super::store::work::{Outcome, Work};
 
-/// State that the runner shares with the requests of clients.
+/// State that the runner shares with the handlers of requests.
 #[derive(Debug, Default)]
 pub(super) struct Signals {
-    /// Notified when there may be work.
+    /// Wakes an idle runner after a job was submitted.
     pub wake: Notify,
-    /// Notified whenever something has happened to a job.
+    /// Notified of every change of a job.
     pub changes: watch::Sender<()>,
-    /// The job whose extraction is being made. The lock is held while the next extraction is taken from the store, so that a request that
-    /// cancels its job finds it here.
+    /// Id of the job whose extraction is being made, and the token that cancels the attempt. The runner holds the lock from the start of
+    /// the transaction that begins an attempt until this value is set, so that a request that cancels the job cannot miss the attempt.
     current: tokio::sync::Mutex<Option<(String, CancellationToken)>>,
+    /// Reason of the pause, if the runner is paused.
     paused: Mutex<Option<&'static str>>,
 }
 
@@ -40,7 +46,7 @@ impl Signals {
         }
     }
 
-    /// Returns the reason why the runner is paused; `None` if it is not.
+    /// Returns the reason of the pause; `None` if the runner is not paused.
     pub(super) fn paused(&self) -> Option<&'static str> {
         *self.paused.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -53,7 +59,7 @@ impl Signals {
     }
 }
 
-/// Back-off between attempts to write when the disk is full or fails: each wait is twice the one before.
+/// Exponential back-off while the disk is full or fails, or the server is busy. Each wait is twice as long as the previous one.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Backoff {
     /// First wait.
@@ -71,7 +77,7 @@ impl Default for Backoff {
     }
 }
 
-/// The runner.
+/// Runs all jobs of a store. `M` makes the files.
 pub(super) struct Runner<M> {
     pub store: Store,
     pub results: Results,
@@ -82,11 +88,13 @@ pub(super) struct Runner<M> {
     pub backoff: Backoff,
 }
 
-/// Why the runner has to wait before it continues.
+/// Why the runner waits before the next attempt. Strings are error chains for the log.
 enum Fault {
+    /// The disk is full.
     Full(String),
+    /// The disk fails for another reason.
     Other(String),
-    /// The disk works, but the server has too much to do.
+    /// The server is busy; the disk works.
     Busy,
 }
 
@@ -106,7 +114,7 @@ impl<M: Maker> Runner<M> {
     pub(super) async fn run(self) {
         let mut wait = self.backoff.first;
         while !self.stop.is_cancelled() {
-            match self.turn().await {
+            match self.run_next().await {
                 Ok(true) => wait = self.backoff.first,
                 Ok(false) => tokio::select! {
                     () = self.signals.wake.notified() => {}
@@ -117,18 +125,18 @@ impl<M: Maker> Runner<M> {
         }
     }
 
-    /// Makes one extraction; returns false if none is waiting.
-    async fn turn(&self) -> Result<bool, Fault> {
-        let Some((work, token)) = self.take().await? else {
-            // No extraction is waiting, so the paused job was cancelled.
+    /// Makes one extraction. Returns false if none is waiting.
+    async fn run_next(&self) -> Result<bool, Fault> {
+        let Some((work, token)) = self.begin().await? else {
+            // Ends a pause too: no extraction is waiting, so the user has cancelled the job that was paused.
             self.signals.set_paused(None);
             return Ok(false);
         };
         let (outcome, fault) = self.attempt(&work, &token).await;
         *self.signals.current.lock().await = None;
         let is_done = matches!(outcome, Outcome::Done { .. });
-        let wanted = self.note(&work, outcome).await;
-        if wanted == Some(false) && is_done {
+        let is_recorded = self.record(&work, outcome).await;
+        if is_recorded == Some(false) && is_done {
             self.results.remove((&work.job, work.extraction)).await;
         }
         match fault {
@@ -140,23 +148,25 @@ impl<M: Maker> Runner<M> {
         }
     }
 
-    async fn take(&self) -> Result<Option<(Work, CancellationToken)>, Fault> {
+    /// Begins an attempt at the next extraction. Returns the extraction, and the token that cancels the attempt; `None` if no extraction is
+    /// waiting.
+    async fn begin(&self) -> Result<Option<(Work, CancellationToken)>, Fault> {
         let mut current = self.signals.current.lock().await;
-        let taken = self.store.begin().await.map_err(|error| Fault::from(&error))?;
+        let next = self.store.begin().await.map_err(|error| Fault::from(&error))?;
         self.signals.changes.send_replace(());
-        Ok(taken.map(|work| {
+        Ok(next.map(|work| {
             let token = self.stop.child_token();
             *current = Some((work.job.clone(), token.clone()));
             (work, token)
         }))
     }
 
-    /// Makes an extraction and puts its file on the disk.
+    /// Makes the file of an extraction and writes it to the disk. Returns how the attempt ended, and the fault to wait for, if any.
     async fn attempt(&self, work: &Work, token: &CancellationToken) -> (Outcome, Option<Fault>) {
         let start = Instant::now();
         let file = match self.maker.make(work, token).await {
             Ok(file) => file,
-            Err(failure) => return of_failure(failure, token),
+            Err(failure) => return outcome_of_failure(failure, token),
         };
         let (triangles, error, notices) = (file.triangles(), file.error(), file.notices());
         let left = self.quota_bytes.saturating_sub(work.bytes_taken);
@@ -166,14 +176,14 @@ impl<M: Maker> Runner<M> {
             .await
         {
             Ok(written) => written,
-            // The error is ignored: a cancelled job may have been deleted together with its folder.
+            // An error is ignored, because the user may have deleted the cancelled job and its folder.
             Err(_) if token.is_cancelled() => return (Outcome::GivenBack, None),
-            Err(error) => return of_write_error(&error),
+            Err(error) => return outcome_of_write_error(&error),
         };
-        // Checks the input again, because a file may have changed while it was read.
+        // Checks the input again, because a file may have changed during the attempt.
         if let Err(failure) = self.maker.check(work).await {
             self.results.remove((&work.job, work.extraction)).await;
-            return of_failure(failure, token);
+            return outcome_of_failure(failure, token);
         }
         let outcome = Outcome::Done {
             written,
@@ -185,14 +195,15 @@ impl<M: Maker> Runner<M> {
         (outcome, None)
     }
 
-    /// Stores the outcome of an attempt. Retries while the disk fails, so that the attempt is not lost. `None` if the server stops first.
-    async fn note(&self, work: &Work, outcome: Outcome) -> Option<bool> {
+    /// Records the outcome of an attempt in the store. Retries while the disk fails, so that the file is not lost. Returns false if the job
+    /// was cancelled meanwhile, and `None` if the server stops before the store works again.
+    async fn record(&self, work: &Work, outcome: Outcome) -> Option<bool> {
         let mut wait = self.backoff.first;
         loop {
             match self.store.finish(work, outcome.clone()).await {
-                Ok(wanted) => {
+                Ok(is_recorded) => {
                     self.signals.changes.send_replace(());
-                    return Some(wanted);
+                    return Some(is_recorded);
                 }
                 Err(_) if self.stop.is_cancelled() => return None,
                 Err(error) => self.pause(&Fault::from(&error), &mut wait).await,
@@ -200,6 +211,8 @@ impl<M: Maker> Runner<M> {
         }
     }
 
+    /// Waits for `wait`, and doubles it for the next pause. Clients see a pause because of the disk, but not one because the server is
+    /// busy.
     async fn pause(&self, fault: &Fault, wait: &mut Duration) {
         let (why, cause) = match fault {
             Fault::Full(cause) => (Some("disk-full"), cause.as_str()),
@@ -219,7 +232,7 @@ impl<M: Maker> Runner<M> {
     }
 }
 
-fn of_failure(failure: MakeFailure, token: &CancellationToken) -> (Outcome, Option<Fault>) {
+fn outcome_of_failure(failure: MakeFailure, token: &CancellationToken) -> (Outcome, Option<Fault>) {
     match failure {
         _ if token.is_cancelled() => (Outcome::GivenBack, None),
         MakeFailure::Later => (Outcome::GivenBack, Some(Fault::Busy)),
@@ -230,7 +243,7 @@ fn of_failure(failure: MakeFailure, token: &CancellationToken) -> (Outcome, Opti
     }
 }
 
-fn of_write_error(error: &WriteError) -> (Outcome, Option<Fault>) {
+fn outcome_of_write_error(error: &WriteError) -> (Outcome, Option<Fault>) {
     let why = crate::error::chain(error);
     match error {
         WriteError::Full(_) => (Outcome::GivenBack, Some(Fault::Full(why))),

@@ -35,10 +35,9 @@ pub enum JobState {
 }
 
 impl JobState {
-    /// All of them.
     pub(super) const ALL: [Self; 5] = [Self::Queued, Self::Running, Self::Done, Self::Failed, Self::Cancelled];
 
-    /// Returns the name, in JSON and in the store.
+    /// Returns the name in JSON and in the store.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Queued => "queued",
@@ -49,7 +48,7 @@ impl JobState {
         }
     }
 
-    /// Whether the job has ended: it is done, failed or cancelled.
+    /// Whether the job is done, failed or cancelled.
     pub const fn is_finished(self) -> bool {
         !matches!(self, Self::Queued | Self::Running)
     }
@@ -204,7 +203,7 @@ pub struct ManifestEntry {
 }
 
 impl ManifestEntry {
-    /// Returns an extraction that was not made yet.
+    /// Returns the entry of an extraction that was not made yet.
     pub const fn waiting(extraction: u32) -> Self {
         Self {
             extraction,
@@ -221,7 +220,7 @@ impl ManifestEntry {
     }
 }
 
-/// Returns the name of the file of an extraction. Files that are sorted by name are in the order of their extractions.
+/// Returns the file name of an extraction's result. The number is padded, so that the order of names is the order of extractions.
 pub fn file_name(extraction: u32, extension: &str) -> String {
     format!("{extraction:05}.{extension}")
 }

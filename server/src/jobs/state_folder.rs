@@ -1,4 +1,4 @@
-//! The folder that stores batch jobs and tokens. It is on a disk of this machine, and one server uses it at a time.
+//! The folder that stores batch jobs and tokens. The folder must be on a local disk, and one server uses it at a time.
 
 use std::fs::{File, TryLockError};
 use std::io;
@@ -6,10 +6,10 @@ use std::path::{Path, PathBuf};
 
 use crate::private_folder::{self, FolderAccess, FolderAccessError};
 
-/// Lock file, held by the server that uses the folder.
+/// Name of the lock file. The server that uses the folder holds the lock.
 const LOCK: &str = "lock";
 
-/// A locked folder. Dropping it unlocks it, and so does the end of the process, however it ends.
+/// A locked folder. The lock ends when this value is dropped or the process ends, even by a crash.
 #[derive(Debug)]
 pub struct StateFolder {
     path: PathBuf,
@@ -20,35 +20,35 @@ pub struct StateFolder {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum StateFolderError {
-    /// It cannot be made, opened or locked.
+    /// The folder cannot be created, opened or locked.
     #[error("state folder {}", path.display())]
     Io {
-        /// The folder.
+        /// Path of the folder.
         path: PathBuf,
-        /// Why not.
+        /// Error of the system.
         source: io::Error,
     },
-    /// Others may use it, or it cannot be made.
+    /// Other users can access the folder, or it cannot be created.
     #[error("state folder")]
     Access(#[from] FolderAccessError),
-    /// A network file system, on which locks and fsync are not reliable.
+    /// The folder is on a network file system, whose locks and fsync are not reliable.
     #[error("state folder {} is on {kind}, expected a disk of this machine: its locks and its fsync are relied on", path.display())]
     Network {
-        /// The folder.
+        /// Path of the folder.
         path: PathBuf,
-        /// Which file system.
+        /// Name of the file system.
         kind: &'static str,
     },
-    /// Another server uses it.
+    /// Another server uses the folder.
     #[error("state folder {} is used by another server, expected one of its own", path.display())]
     InUse {
-        /// The folder.
+        /// Path of the folder.
         path: PathBuf,
     },
 }
 
 impl StateFolder {
-    /// Opens and locks a folder. Creates it for this user alone if it does not exist.
+    /// Opens and locks a folder. If the folder does not exist, creates it with access for this user alone.
     ///
     /// # Errors
     /// [`StateFolderError`].
@@ -65,41 +65,41 @@ impl StateFolder {
         }
     }
 
-    /// Returns the path of a folder without locking it, for commands that change it while a server uses it. Creates it for this user alone
-    /// if it does not exist.
+    /// Prepares a folder as [`StateFolder::open`] does, but without a lock, and returns its path. For commands that change the folder while
+    /// a server uses it.
     ///
     /// # Errors
     /// [`StateFolderError`].
     pub fn prepare(path: &Path, access: FolderAccess) -> Result<PathBuf, StateFolderError> {
         let path = private_folder::open(path, access)?;
-        let found = file_system(&path).map(|found| found.and_then(network_file_system));
-        match found {
+        let network = file_system(&path).map(|magic| magic.and_then(network_file_system));
+        match network {
             Ok(Some(kind)) => Err(StateFolderError::Network { path, kind }),
             Ok(None) => Ok(path),
             Err(source) => Err(StateFolderError::Io { path, source }),
         }
     }
 
-    /// Path of the folder.
+    /// Returns the path of the folder.
     pub fn path(&self) -> &Path {
         &self.path
     }
 }
 
-/// Returns the magic number of the file system that a folder is on, if the system tells it.
+/// Returns the magic number of a folder's file system; `None` on systems without magic numbers.
 #[cfg(target_os = "linux")]
 fn file_system(path: &Path) -> io::Result<Option<i64>> {
     use std::os::unix::ffi::OsStrExt;
     let name = std::ffi::CString::new(path.as_os_str().as_bytes())?;
-    let mut found = std::mem::MaybeUninit::<libc::statfs>::uninit();
-    // SAFETY: the name is zero-terminated, and `found` has space for the result.
-    if unsafe { libc::statfs(name.as_ptr(), found.as_mut_ptr()) } != 0 {
+    let mut info = std::mem::MaybeUninit::<libc::statfs>::uninit();
+    // SAFETY: the name is zero-terminated, and `info` has space for the result.
+    if unsafe { libc::statfs(name.as_ptr(), info.as_mut_ptr()) } != 0 {
         return Err(io::Error::last_os_error());
     }
     // SAFETY: initialised, because the call succeeded.
-    let found = unsafe { found.assume_init() };
+    let info = unsafe { info.assume_init() };
     #[allow(clippy::unnecessary_cast, reason = "its type depends on the C library")]
-    let magic = found.f_type as i64;
+    let magic = info.f_type as i64;
     Ok(Some(magic & 0xffff_ffff))
 }
 
@@ -108,8 +108,8 @@ fn file_system(_: &Path) -> io::Result<Option<i64>> {
     Ok(None)
 }
 
-/// Returns the name of a file system that several machines share, or that a user's program implements; `None` for others. The magic numbers
-/// are those of statfs(2) and the kernel's `linux/magic.h`.
+/// Returns the name of a network or FUSE file system; `None` for other file systems. The magic numbers are from statfs(2) and
+/// `linux/magic.h`.
 fn network_file_system(magic: i64) -> Option<&'static str> {
     Some(match magic {
         0x6969 => "NFS",

@@ -1,14 +1,15 @@
-//! Encodings of a body that is written as it is sent: zstd and gzip, if the client takes them.
+//! Content encodings of response bodies: zstd and gzip, if the client accepts them. A body is encoded while it is sent.
 
 use std::io::{self, Write};
 
 use axum::http::{HeaderMap, header};
 
-/// The fastest levels, because a client waits while the file is compressed. Higher levels hardly make its numbers smaller.
+/// Compression levels. The fastest ones, because a client waits for the compression, and higher levels hardly reduce the size of binary
+/// numbers.
 const ZSTD_LEVEL: i32 = 1;
 const GZIP_LEVEL: flate2::Compression = flate2::Compression::fast();
 
-/// How a body is encoded.
+/// Content encoding of a body.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum ContentEncoding {
     /// Not encoded.
@@ -32,7 +33,7 @@ impl ContentEncoding {
         }
     }
 
-    /// Returns the entity tag of a body in this encoding. `hash` is that of its content before encoding.
+    /// Returns the entity tag of a body in this encoding. `hash` is the hash of the unencoded content.
     pub(super) fn tag(self, hash: &str) -> String {
         match self {
             Self::Identity => format!("\"{hash}\""),
@@ -40,42 +41,44 @@ impl ContentEncoding {
         }
     }
 
-    /// Whether the client states that it already has the content of this hash, in any encoding. The tag `*` stands for any content.
+    /// Whether `If-None-Match` states that the client has the content with this hash, in any encoding. The tag `*` stands for any content.
     pub(super) fn is_known(headers: &HeaderMap, hash: &str) -> bool {
-        let known = Self::ALL.map(|encoding| encoding.tag(hash));
-        let shown = headers.get_all(header::IF_NONE_MATCH).iter();
-        let mut tags = shown
+        let current = Self::ALL.map(|encoding| encoding.tag(hash));
+        let lists = headers.get_all(header::IF_NONE_MATCH).iter();
+        let mut client_tags = lists
             .filter_map(|tags| tags.to_str().ok())
             .flat_map(|tags| tags.split(','))
-            // The tags are compared weakly, as RFC 9110 requires.
-            .map(|shown| shown.trim().trim_start_matches("W/"));
-        tags.any(|shown| shown == "*" || known.iter().any(|tag| tag == shown))
+            // RFC 9110 requires the weak comparison here.
+            .map(|tag| tag.trim().trim_start_matches("W/"));
+        client_tags.any(|client_tag| client_tag == "*" || current.iter().any(|tag| tag == client_tag))
     }
 
-    /// Returns the encoding with the highest weight in `Accept-Encoding`; without that header, `Identity`.
+    /// Returns the encoding with the highest weight in `Accept-Encoding`, or `Identity` without this header.
     pub(super) fn accepted(headers: &HeaderMap) -> Self {
         let lists = headers.get_all(header::ACCEPT_ENCODING).iter();
         let lists: Vec<&str> = lists.filter_map(|list| list.to_str().ok()).collect();
         let weights: Vec<(&str, f32)> = lists.iter().flat_map(|list| list.split(',')).map(weight).collect();
-        let of = |encoding: Self| {
+        let weight_of = |encoding: Self| {
             let named = |name: &str| weights.iter().find(|(other, _)| other.eq_ignore_ascii_case(name));
             let weight = named(encoding.name()).or_else(|| named("*")).map(|(_, weight)| *weight);
-            // An encoding that the header does not name is not accepted. `Identity` always is, as the last choice.
+            // The client does not accept an encoding that the header does not name. `Identity` is the exception, with the lowest weight.
             weight.unwrap_or(if encoding == Self::Identity {
                 f32::MIN_POSITIVE
             } else {
                 0.0
             })
         };
-        // Reversed, because `max_by` returns the last of equal ones.
-        let best = Self::ALL.into_iter().rev().max_by(|a, b| of(*a).total_cmp(&of(*b)));
-        best.filter(|encoding| of(*encoding) > 0.0).unwrap_or(Self::Identity)
+        // In reverse order, because `max_by` returns the last of several equal elements.
+        let candidates = Self::ALL.into_iter().rev();
+        let best = candidates.max_by(|a, b| weight_of(*a).total_cmp(&weight_of(*b)));
+        best.filter(|encoding| weight_of(*encoding) > 0.0)
+            .unwrap_or(Self::Identity)
     }
 
-    /// Writes a body in this encoding.
+    /// Writes a body to `out` in this encoding. `body` writes the unencoded content.
     ///
     /// # Errors
-    /// Those of `body`, and of `out`.
+    /// Errors of `body` and `out`.
     pub(super) fn write<W: Write, E: From<io::Error>>(
         self,
         mut out: W,
@@ -100,7 +103,7 @@ impl ContentEncoding {
     }
 }
 
-/// Parses an encoding of `Accept-Encoding` and its weight: 1 if it has none, 0 if the weight is invalid.
+/// Parses an item of `Accept-Encoding`: the name of an encoding and its weight. A missing weight is 1, and an invalid one is 0.
 fn weight(item: &str) -> (&str, f32) {
     let mut parts = item.split(';');
     let name = parts.next().unwrap_or_default().trim();

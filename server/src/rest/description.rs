@@ -1,4 +1,4 @@
-//! Parts of the API description that are common to every operation: authentication, and answers of the layers in front of the handlers.
+//! Completes the OpenAPI description with what many operations share: authentication, file formats, and the responses of the gate.
 
 use clap::ValueEnum as _;
 use utoipa::Modify;
@@ -8,14 +8,14 @@ use utoipa::openapi::{Content, OneOfBuilder, OpenApi, Ref, RefOr, Response};
 
 use crate::export::Format;
 
-/// Media type of problems.
+/// Media type of problem documents.
 const PROBLEM: &str = "application/problem+json";
 
-/// The scheme of tokens.
+/// Name of the security scheme for tokens.
 const TOKEN: &str = "token";
 
-/// Answers of the gate, which every path below `/api/` may give.
-const OF_GATE: [(&str, &str); 4] = [
+/// Responses of the gate, which are possible for every path below `/api/`: status and description.
+const GATE_RESPONSES: [(&str, &str); 4] = [
     ("401", "`unauthorized`: no token, or one that is not valid"),
     (
         "403",
@@ -28,7 +28,7 @@ const OF_GATE: [(&str, &str); 4] = [
 /// Paths that need no token.
 const PUBLIC: [&str; 4] = ["/healthz", "/readyz", "/api/v1/oidc", "/api/v1/embed"];
 
-/// Completes a description.
+/// Modifier that completes a description.
 pub(super) struct Completed;
 
 impl Modify for Completed {
@@ -38,7 +38,7 @@ impl Modify for Completed {
         bearer.description = Some("A token of the server; a server with `--no-auth` asks for none".into());
         components.add_security_scheme(TOKEN, SecurityScheme::Http(bearer));
         let none: [&str; 0] = [];
-        let asked = SecurityRequirement::new(TOKEN, none);
+        let token_required = SecurityRequirement::new(TOKEN, none);
         for (path, item) in &mut openapi.paths.paths {
             let operations = [
                 &mut item.get,
@@ -49,11 +49,11 @@ impl Modify for Completed {
                 &mut item.patch,
             ];
             for operation in operations.into_iter().flatten() {
-                // An empty requirement: a server may run without authentication.
+                // The empty requirement makes the token optional, because a server may run without authentication.
                 let security = if PUBLIC.contains(&path.as_str()) {
                     vec![SecurityRequirement::default()]
                 } else {
-                    vec![asked.clone(), SecurityRequirement::default()]
+                    vec![token_required.clone(), SecurityRequirement::default()]
                 };
                 operation.security = Some(security);
                 if path.starts_with("/api/") {
@@ -64,8 +64,8 @@ impl Modify for Completed {
     }
 }
 
-/// Adds the media types of all file formats to answers that may be a GLB.
-fn name_formats(operation: &mut Operation) {
+/// Adds the media types of all file formats to responses that may be a GLB.
+fn add_formats(operation: &mut Operation) {
     for response in operation.responses.responses.values_mut() {
         let RefOr::T(response) = response else { continue };
         let Some(file) = response.content.get(Format::Glb.content_type()).cloned() else {
@@ -77,9 +77,9 @@ fn name_formats(operation: &mut Operation) {
     }
 }
 
-/// For an answer that is JSON or a problem: gives its JSON the schemas of both, because generated clients accept one content type per
-/// status.
-fn join_problems(operation: &mut Operation) {
+/// Gives a response that is either JSON or a problem document one JSON schema for both, because generated clients accept one content type
+/// per status.
+fn merge_problems(operation: &mut Operation) {
     for response in operation.responses.responses.values_mut() {
         let RefOr::T(response) = response else { continue };
         let Some(RefOr::T(Content {
@@ -95,11 +95,11 @@ fn join_problems(operation: &mut Operation) {
 }
 
 fn complete(operation: &mut Operation) {
-    name_formats(operation);
-    join_problems(operation);
-    for (status, description) in OF_GATE {
-        let answers = &mut operation.responses.responses;
-        answers.entry(status.to_owned()).or_insert_with(|| {
+    add_formats(operation);
+    merge_problems(operation);
+    for (status, description) in GATE_RESPONSES {
+        let responses = &mut operation.responses.responses;
+        responses.entry(status.to_owned()).or_insert_with(|| {
             let problem = Content::new(Some(Ref::from_schema_name("Problem")));
             let mut response = Response::new(description);
             response.content.insert(PROBLEM.into(), problem.into());

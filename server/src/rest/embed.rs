@@ -1,4 +1,4 @@
-//! The viewer in a frame of another site's page: whose pages may have it there, and tokens for it.
+//! The viewer in a frame of a page of another site: the origins that may embed it, and tokens for it.
 
 use axum::Json;
 use axum::extract::State;
@@ -25,7 +25,7 @@ pub struct EmbedInfo {
 #[serde(deny_unknown_fields)]
 pub struct EmbedTokenRequest {
     /// `view`, or `edit` too.
-    #[serde(default = "only_look")]
+    #[serde(default = "default_roles")]
     #[schema(default = json!(["view"]), min_items = 1)]
     roles: Vec<Role>,
     /// 10 to 3600.
@@ -34,7 +34,7 @@ pub struct EmbedTokenRequest {
     seconds: u64,
 }
 
-fn only_look() -> Vec<Role> {
+fn default_roles() -> Vec<Role> {
     vec![Role::View]
 }
 
@@ -93,24 +93,24 @@ pub async fn lend(
 ) -> Result<Response, ApiError> {
     let Json(EmbedTokenRequest { roles, seconds }) = body?;
     let token = state.access.lend(&who, roles.clone(), seconds).map_err(refusal)?;
-    let made = EmbedTokenInfo {
+    let info = EmbedTokenInfo {
         token: token.text().to_owned(),
         roles,
         expires_seconds: who.expires_seconds().map_or(seconds, |own| own.min(seconds)),
     };
-    Ok((StatusCode::CREATED, [(header::CACHE_CONTROL, "no-store")], Json(made)).into_response())
+    Ok((StatusCode::CREATED, [(header::CACHE_CONTROL, "no-store")], Json(info)).into_response())
 }
 
 fn refusal(error: DelegateError) -> ApiError {
-    let of = |status, code| ApiError::new(status, code, error.to_string());
+    let refuse = |status, code| ApiError::new(status, code, error.to_string());
     match &error {
-        DelegateError::NoAuth => of(StatusCode::CONFLICT, "no-auth"),
-        DelegateError::Delegated | DelegateError::NotOwn(..) => of(StatusCode::FORBIDDEN, "forbidden"),
+        DelegateError::NoAuth => refuse(StatusCode::CONFLICT, "no-auth"),
+        DelegateError::Delegated | DelegateError::NotOwn(..) => refuse(StatusCode::FORBIDDEN, "forbidden"),
         DelegateError::Role(_) | DelegateError::NoRoles | DelegateError::Seconds(_) => {
-            of(StatusCode::BAD_REQUEST, "bad-embed-token")
+            refuse(StatusCode::BAD_REQUEST, "bad-embed-token")
         }
         DelegateError::TooMany { wait, .. } => {
-            of(StatusCode::TOO_MANY_REQUESTS, "too-many-embed-tokens").retry_after(*wait)
+            refuse(StatusCode::TOO_MANY_REQUESTS, "too-many-embed-tokens").retry_after(*wait)
         }
         DelegateError::Random(_) => ApiError::internal(error),
     }

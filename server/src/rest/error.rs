@@ -1,4 +1,4 @@
-//! The problem documents of other layers' errors.
+//! Converts errors of other layers to problem documents.
 
 use std::time::Duration;
 
@@ -32,12 +32,12 @@ impl From<WorkError> for ApiError {
             _ if error.code() == "too-large" => StatusCode::INSUFFICIENT_STORAGE,
             _ => StatusCode::INTERNAL_SERVER_ERROR,
         };
-        let answer = Self::new(status, error.code(), error.public_message()).suggesting(error.suggested_triangles());
+        let problem = Self::new(status, error.code(), error.public_message()).suggesting(error.suggested_triangles());
         match error {
             // The server tries to reopen the device every half second.
-            WorkError::DeviceLost | WorkError::Reopening => answer.retry_after(Duration::from_secs(1)),
-            WorkError::UserTime { wait, .. } => answer.retry_after(wait),
-            _ => answer,
+            WorkError::DeviceLost | WorkError::Reopening => problem.retry_after(Duration::from_secs(1)),
+            WorkError::UserTime { wait, .. } => problem.retry_after(wait),
+            _ => problem,
         }
         .because(error)
     }
@@ -133,7 +133,7 @@ impl From<JsonRejection> for ApiError {
             StatusCode::UNSUPPORTED_MEDIA_TYPE => (status, "unsupported-media-type"),
             StatusCode::PAYLOAD_TOO_LARGE => (status, "body-too-large"),
             _ if matches!(error, JsonRejection::BytesRejection(_)) => (status, "bad-request"),
-            // Not JSON, or not the expected JSON: both have one code, as on the WebSocket.
+            // Invalid JSON and unexpected JSON have the same code, as on the WebSocket.
             _ => (StatusCode::BAD_REQUEST, "bad-json"),
         };
         Self::new(status, code, error.body_text())

@@ -1,4 +1,4 @@
-//! Admission of exports. A few are made at a time, a few wait, and users take turns.
+//! Admission of exports. Limits how many exports run and wait, and lets users take turns.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -11,15 +11,15 @@ use crate::problem::ApiError;
 /// Limits of a queue.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct QueueLimits {
-    /// Maximum exports that run at a time.
+    /// Maximum number of running exports.
     pub running: usize,
-    /// Maximum exports of one user that run at a time. Fewer, so that long exports of one user leave others a place.
+    /// Maximum number of running exports of one user. Lower than `running`, so that long exports of one user do not block others.
     pub running_of_user: usize,
-    /// Maximum waiting exports of all users.
+    /// Maximum number of waiting exports.
     pub waiting: usize,
-    /// Maximum waiting exports of one user.
+    /// Maximum number of waiting exports of one user.
     pub waiting_of_user: usize,
-    /// Maximum wait.
+    /// Maximum waiting time of an export.
     pub wait: Duration,
 }
 
@@ -41,13 +41,14 @@ struct State {
     waiting: Vec<Waiter>,
 }
 
+/// A waiting export.
 #[derive(Debug)]
 struct Waiter {
     user: Arc<str>,
     admit: oneshot::Sender<ExportPermit>,
 }
 
-/// Permit to make an export. Dropping it admits the next one.
+/// Guard of a running export. Dropping the guard admits the next export.
 #[derive(Debug)]
 pub(super) struct ExportPermit {
     queue: ExportQueue,
@@ -65,15 +66,15 @@ impl ExportQueue {
         self.state().running.values().sum()
     }
 
-    /// Waits until a user's export may be made.
+    /// Waits until an export of a user may run.
     ///
     /// # Errors
-    /// `busy`: too many wait, or the wait took too long.
+    /// `busy` if too many exports wait, or if the wait takes too long.
     pub(super) async fn admit(&self, user: &str) -> Result<ExportPermit, ApiError> {
         let limits = self.0.limits;
         let admitted = match self.enter(user)? {
             Entry::Admitted(permit) => return Ok(permit),
-            Entry::Waits(admitted) => admitted,
+            Entry::Queued(admitted) => admitted,
         };
         // If the client disconnects, this future is dropped with its receiver. The queue then skips the waiter.
         match tokio::time::timeout(limits.wait, admitted).await {
@@ -87,12 +88,13 @@ impl ExportQueue {
         }
     }
 
+    /// Admits an export at once, or adds it to the waiting ones.
     fn enter(&self, user: &str) -> Result<Entry, ApiError> {
         let (limits, user) = (self.0.limits, Arc::<str>::from(user));
         let mut state = self.state();
         // Removes waiters whose clients have disconnected.
         state.waiting.retain(|waiter| !waiter.admit.is_closed());
-        if state.has_place(&limits) && state.may_run(&user, &limits) && state.next_place(&limits).is_none() {
+        if state.has_capacity(&limits) && state.may_run(&user, &limits) && state.next_index(&limits).is_none() {
             *state.running.entry(Arc::clone(&user)).or_default() += 1;
             let queue = self.clone();
             return Ok(Entry::Admitted(ExportPermit { queue, user }));
@@ -110,14 +112,14 @@ impl ExportQueue {
         }
         let (admit, admitted) = oneshot::channel();
         state.waiting.push(Waiter { user, admit });
-        Ok(Entry::Waits(admitted))
+        Ok(Entry::Queued(admitted))
     }
 
     /// Ends an export of a user, and admits the next one.
     fn release(&self, user: &Arc<str>) {
         let next = {
             let mut state = self.state();
-            state.leave(user);
+            state.end_running(user);
             let next = state.next(&self.0.limits);
             if let Some(waiter) = &next {
                 *state.running.entry(Arc::clone(&waiter.user)).or_default() += 1;
@@ -126,7 +128,7 @@ impl ExportQueue {
         };
         if let Some(Waiter { user, admit }) = next {
             let queue = self.clone();
-            // If the client has disconnected, `send` returns the permit in its error. Dropping it admits another export.
+            // If the client has disconnected, `send` returns the permit in its error. Dropping that permit admits another export.
             let _ = admit.send(ExportPermit { queue, user });
         }
     }
@@ -136,13 +138,16 @@ impl ExportQueue {
     }
 }
 
+/// State of an export that has entered the queue.
 enum Entry {
     Admitted(ExportPermit),
-    Waits(oneshot::Receiver<ExportPermit>),
+    /// The export waits for its permit.
+    Queued(oneshot::Receiver<ExportPermit>),
 }
 
 impl State {
-    fn has_place(&self, limits: &QueueLimits) -> bool {
+    /// Whether fewer than the maximum number of exports are running.
+    fn has_capacity(&self, limits: &QueueLimits) -> bool {
         self.running.values().sum::<usize>() < limits.running
     }
 
@@ -154,22 +159,22 @@ impl State {
         self.running_of(user) < limits.running_of_user
     }
 
-    /// Returns the index of the waiter that is admitted next. Of the users with the fewest running exports, it is the one that has waited
-    /// longest.
-    fn next_place(&self, limits: &QueueLimits) -> Option<usize> {
+    /// Returns the index of the waiter that is admitted next: the oldest one among the users with the fewest running exports. Returns
+    /// `None` if no waiter's user may run another export.
+    fn next_index(&self, limits: &QueueLimits) -> Option<usize> {
         let numbered = self.waiting.iter().enumerate();
         let admissible = numbered.filter(|(_, waiter)| self.may_run(&waiter.user, limits));
-        let next = admissible.min_by_key(|(place, waiter)| (self.running_of(&waiter.user), *place));
-        next.map(|(place, _)| place)
+        let next = admissible.min_by_key(|(index, waiter)| (self.running_of(&waiter.user), *index));
+        next.map(|(index, _)| index)
     }
 
-    /// Removes and returns the waiter that is admitted next, if there is a place for it.
+    /// Removes and returns the waiter that is admitted next, if the queue has capacity.
     fn next(&mut self, limits: &QueueLimits) -> Option<Waiter> {
-        let place = self.next_place(limits).filter(|_| self.has_place(limits))?;
-        Some(self.waiting.remove(place))
+        let index = self.next_index(limits).filter(|_| self.has_capacity(limits))?;
+        Some(self.waiting.remove(index))
     }
 
-    fn leave(&mut self, user: &Arc<str>) {
+    fn end_running(&mut self, user: &Arc<str>) {
         if let Some(count) = self.running.get_mut(user) {
             *count -= 1;
             if *count == 0 {

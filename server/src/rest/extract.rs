@@ -1,4 +1,4 @@
-//! A surface as a file.
+//! Exports: surfaces as files.
 
 pub(super) mod address;
 mod body;
@@ -34,10 +34,10 @@ use crate::problem::{ApiError, Problem};
 use crate::service::DeviceWorker;
 pub use spool::SpoolFolder;
 
-/// Header that carries the statistics of `isopeel extract --stats`, JSON in ASCII.
+/// Header with the statistics that `isopeel extract --stats` prints, as JSON in ASCII.
 pub const STATISTICS_HEADER: HeaderName = HeaderName::from_static("isopeel-statistics");
 
-/// Maximum time for making an export: some ten times the time that the largest surfaces take.
+/// Maximum time for making a file. The largest surfaces take a tenth of this.
 const EXPORT_DEADLINE: Duration = Duration::from_secs(600);
 
 /// Body of `POST extract`: volume and format, and any of the edit's names. Missing names have the defaults of the command line.
@@ -88,7 +88,7 @@ impl ToSchema for ExtractRequest {
     }
 }
 
-/// Schema of a file's bytes.
+/// OpenAPI schema of a file: binary.
 pub(super) struct File;
 
 impl PartialSchema for File {
@@ -137,22 +137,22 @@ pub async fn extract(
     let Json(ExtractRequest { volume, file }) = body?;
     let volume = state.volume(&who, &volume, file.step)?;
     let others = other_volumes(&state, &who, &file)?;
-    // Checked first, so that an invalid request fails before it waits.
+    // Checks the request first, so that an invalid one fails without waiting in the queue.
     file.surfaces(&volume, &others)?;
     let encoding = ContentEncoding::accepted(&headers);
     let source = Source { volume, others };
-    source.made(state, &who, file).await?.whole(encoding)
+    source.export(state, &who, file).await?.whole(encoding)
 }
 
-/// The volumes that a file is made of.
+/// The volumes of an export.
 struct Source {
     volume: VolumeStep,
     others: OtherVolumes,
 }
 
 impl Source {
-    /// Makes a file once the queue admits it.
-    async fn made(self, state: ApiState, who: &Identity, file: FileRequest) -> Result<Made, ApiError> {
+    /// Makes a file after the queue has admitted the export. [`ApiState::failed`] converts errors.
+    async fn export(self, state: ApiState, who: &Identity, file: FileRequest) -> Result<Made, ApiError> {
         let others = self.others.values();
         let volumes: Vec<_> = once(self.volume.dataset()).chain(others).map(Arc::clone).collect();
         let made = Made::admitted(state.clone(), who, self, file).await;
@@ -160,13 +160,13 @@ impl Source {
     }
 }
 
-/// Returns the volumes that surfaces name. The client must be allowed to see them.
+/// Returns the other volumes that surfaces of a request name. Fails if the client may not see one of them.
 fn other_volumes(state: &ApiState, who: &Identity, file: &FileRequest) -> Result<OtherVolumes, ApiError> {
     let find = |name: &str| Ok((name.to_owned(), Arc::clone(state.volume(who, name, 0)?.dataset())));
     file.other_volumes().map(find).collect()
 }
 
-/// An export that was made and is not sent yet.
+/// An export that is complete, but not sent yet.
 struct Made {
     file: MadeFile,
     digest: FileDigest,
@@ -175,23 +175,23 @@ struct Made {
 }
 
 impl Made {
-    /// Makes a file once the queue admits it.
+    /// Waits for admission, then makes a file.
     async fn admitted(state: ApiState, who: &Identity, source: Source, request: FileRequest) -> Result<Self, ApiError> {
         let permit = state.exports.admit(who.user()).await?;
-        // When the client disconnects, hyper drops this future, which cancels the token. The work holds its permit until it checks the
-        // token and ends.
+        // If the client disconnects, hyper drops this future, and the guard cancels the token. The spawned task holds its permit until it
+        // notices that and ends.
         let token = CancellationToken::new();
         let _cancel = token.clone().drop_guard();
         let worker = state.worker.charged_to(who.limited_user());
-        let making = Self::make(worker, source, request, token, permit);
-        let (making, spool) = (tokio::spawn(making), state.spool);
-        let made = tokio::time::timeout(EXPORT_DEADLINE, making).await.map_err(|_| {
+        let task = tokio::spawn(Self::make(worker, source, request, token, permit));
+        let spool = state.spool;
+        let outcome = tokio::time::timeout(EXPORT_DEADLINE, task).await.map_err(|_| {
             let deadline = EXPORT_DEADLINE.as_secs();
             ApiError::busy(format!(
                 "the export was not made within {deadline} s, the server has too much to do"
             ))
         })?;
-        let (file, digest, permit) = made.map_err(ApiError::internal)??;
+        let (file, digest, permit) = outcome.map_err(ApiError::internal)??;
         Ok(Self {
             file,
             digest,
@@ -200,6 +200,7 @@ impl Made {
         })
     }
 
+    /// Makes a file and its digest.
     async fn make(
         worker: DeviceWorker,
         source: Source,
@@ -216,22 +217,22 @@ impl Made {
         Ok((file, digest, permit))
     }
 
-    /// Answers with the whole file.
+    /// Returns the response with the whole file.
     fn whole(self, encoding: ContentEncoding) -> Result<Response, ApiError> {
-        let answer = self.answer()?;
-        let answer = match encoding {
-            ContentEncoding::Identity => answer.header(header::CONTENT_LENGTH, self.digest.bytes),
-            _ => answer.header(header::CONTENT_ENCODING, encoding.name()),
+        let response = self.response()?;
+        let response = match encoding {
+            ContentEncoding::Identity => response.header(header::CONTENT_LENGTH, self.digest.bytes),
+            _ => response.header(header::CONTENT_ENCODING, encoding.name()),
         };
         let body = body::send(self.file, body::Part::Whole(encoding), self.permit, self.spool);
-        answer.body(body).map_err(ApiError::internal)
+        response.body(body).map_err(ApiError::internal)
     }
 
-    /// Answers with a part of the bytes.
+    /// Returns the response with a range of the bytes.
     fn range(self, part: Range<u64>) -> Result<Response, ApiError> {
         let range = content_range(&part, self.digest.bytes);
-        let answer = self.answer()?.status(StatusCode::PARTIAL_CONTENT);
-        let answer = answer
+        let response = self.response()?.status(StatusCode::PARTIAL_CONTENT);
+        let response = response
             .header(header::CONTENT_LENGTH, part.end - part.start)
             .header(header::CONTENT_RANGE, range);
         let body = body::send(
@@ -240,11 +241,11 @@ impl Made {
             self.permit,
             self.spool,
         );
-        answer.body(body).map_err(ApiError::internal)
+        response.body(body).map_err(ApiError::internal)
     }
 
-    /// Returns the headers that do not depend on which part of the file is sent.
-    fn answer(&self) -> Result<response::Builder, ApiError> {
+    /// Returns a response with the headers that do not depend on the range.
+    fn response(&self) -> Result<response::Builder, ApiError> {
         let format = self.file.format();
         let name = self.file.file_name();
         let statistics = serde_json::to_string(&self.file.statistics).map_err(ApiError::internal)?;

@@ -1,4 +1,4 @@
-//! Liveness and readiness probes, and the use of memory.
+//! Liveness and readiness probes, and memory statistics.
 
 use std::sync::atomic::Ordering;
 use std::time::Duration;
@@ -11,8 +11,7 @@ use super::ApiState;
 use crate::problem::{ApiError, Problem};
 use crate::service::{DeviceState, Preparation};
 
-/// Maximum time in which the device must finish the smallest job, a read of one byte, for the server to be ready. Probes often have the
-/// same time-out.
+/// Time limit of the readiness check for the smallest device job, a read of one byte. Probes often have the same time-out.
 const ANSWER_LIMIT: Duration = Duration::from_secs(5);
 
 /// Whether the process answers.

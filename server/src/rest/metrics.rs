@@ -1,4 +1,4 @@
-//! The route `/metrics`, for Prometheus and other programs that read its format.
+//! The route `/metrics`, for Prometheus and compatible programs.
 
 use axum::extract::State;
 use axum::http::header;
@@ -9,7 +9,7 @@ use super::ApiState;
 use crate::metrics;
 use crate::problem::{ApiError, Problem};
 
-/// Version of Prometheus' text format that `metrics::render` writes.
+/// Media type of the metrics, with the version of Prometheus' text format that `metrics::render` writes.
 const CONTENT_TYPE: &str = "text/plain; version=0.0.4; charset=utf-8";
 
 /// Counts and times of requests, viewers, edits, stages and jobs of the device, batch jobs, memory and errors, in Prometheus' text format. No
@@ -29,7 +29,7 @@ pub async fn show(State(state): State<ApiState>) -> Result<Response, ApiError> {
     let worker = state.worker;
     metrics::set_queued_jobs(worker.queued());
     metrics::set_running_exports(state.exports.running());
-    // A device that is still being opened, or that failed to open, has no memory to report.
+    // A device that is not open has no memory to report.
     if let Some(used) = worker.memory_now() {
         report_memory(&used);
     }
@@ -49,7 +49,7 @@ pub async fn show(State(state): State<ApiState>) -> Result<Response, ApiError> {
     Ok(([(header::CONTENT_TYPE, CONTENT_TYPE)], text).into_response())
 }
 
-/// Sets the gauges of memory, in bytes.
+/// Sets the memory gauges.
 fn report_memory(used: &MemoryUse) {
     for (owner, bytes) in [
         ("volumes", used.volume_bytes),

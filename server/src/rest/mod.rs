@@ -1,7 +1,7 @@
-//! REST under `/api/v1`, described at `/api/v1/openapi.json`.
+//! The REST API below `/api/v1`. `/api/v1/openapi.json` describes it.
 //!
-//! Handlers check the request, call catalog or extraction, and make the answer. Every error is an [`ApiError`], a problem document with
-//! a stable code.
+//! A handler checks the request, calls another layer, and converts the outcome to a response. Every error is an [`ApiError`]: a problem
+//! document with a stable code.
 
 mod content_encoding;
 mod description;
@@ -63,14 +63,14 @@ use export_queue::{ExportQueue, QueueLimits};
 use extract::address::KnownDigests;
 use precompressed::Precompressed;
 
-/// Maximum bytes of a request body, the same as of a message on the WebSocket. 64 control points take about 4 KiB.
+/// Maximum bytes of a request body, as of a message on the WebSocket. An edit with 64 control points takes about 4 KiB.
 const MAX_BODY_BYTES: usize = 64 * 1024;
 
-/// Maximum time between two parts of a request's body, as for its head.
+/// Maximum time between two parts of a request body. The head of a request has the same limit.
 const BODY_PAUSE: Duration = Duration::from_secs(10);
 
-/// Limits of exports. Each running export holds a mesh in memory until its client has read it or timed out: with the regions it was made
-/// from, some 100 MB for a million triangles. A waiting export holds a connection.
+/// Limits of exports. A running export holds a mesh in memory until its bytes are sent or spooled: some 100 MB for a million triangles,
+/// together with the regions of the surface. A waiting export holds a connection.
 const EXPORTS: QueueLimits = QueueLimits {
     running: 4,
     running_of_user: 3,
@@ -79,7 +79,7 @@ const EXPORTS: QueueLimits = QueueLimits {
     wait: Duration::from_secs(60),
 };
 
-/// Limits of slices that are made at a time: planes of samples, some megabytes each. A viewer drags up to three at once.
+/// Limits of concurrent slices. Each takes some megabytes for a plane of samples. A viewer drags up to three planes at the same time.
 const SLICES: SeatLimits = SeatLimits {
     what: "slices that are being made",
     all: 8,
@@ -88,8 +88,8 @@ const SLICES: SeatLimits = SeatLimits {
     reserve: 1,
 };
 
-/// Limits of overviews that are made at a time. Each takes up to 24 MiB until it is complete, and equal requests share one. A viewer that
-/// steps through time requests one after another.
+/// Limits of concurrent overviews. Each takes up to 24 MiB until it is complete, and equal requests share one. A viewer that steps through
+/// time requests one after another.
 const OVERVIEWS: SeatLimits = SeatLimits {
     what: "overviews that are being made",
     all: 6,
@@ -98,7 +98,7 @@ const OVERVIEWS: SeatLimits = SeatLimits {
     reserve: 1,
 };
 
-/// Limits of streams of jobs' events, each of which holds a connection.
+/// Limits of concurrent event streams of jobs. Each holds a connection.
 const EVENT_STREAMS: SeatLimits = SeatLimits {
     what: "streams of events",
     all: 64,
@@ -107,7 +107,7 @@ const EVENT_STREAMS: SeatLimits = SeatLimits {
     reserve: 4,
 };
 
-/// State of all handlers; clones are cheap.
+/// State that all handlers share. Clones are cheap.
 #[derive(Clone)]
 pub struct ApiState {
     catalog: SharedCatalog,
@@ -119,16 +119,16 @@ pub struct ApiState {
     events: Seats,
     spool: SpoolFolder,
     access: Access,
-    /// `None`: the server has no batch jobs.
+    /// `None` if the server has no batch jobs.
     jobs: Option<Jobs>,
-    /// `None`: the server does not accept uploads.
+    /// `None` if the server does not accept uploads.
     uploads: Option<Uploads>,
-    /// Whether the server is about to end.
+    /// Whether the server will shut down soon.
     is_draining: Arc<AtomicBool>,
 }
 
 impl ApiState {
-    /// Serves the volumes of a catalog, and surfaces of them, to users whom `access` authorizes.
+    /// Creates the state of a server that offers the volumes of a catalog to users whom `access` authorizes.
     pub fn new(catalog: SharedCatalog, worker: DeviceWorker, access: Access) -> Self {
         Self {
             catalog,
@@ -152,7 +152,7 @@ impl ApiState {
         Self { jobs, ..self }
     }
 
-    /// Spools exports that clients read slowly to this folder, instead of that of temporary files.
+    /// Spools exports of slow clients to this folder, instead of the folder for temporary files.
     #[must_use]
     pub fn with_spool(self, folder: Option<SpoolFolder>) -> Self {
         Self {
@@ -161,7 +161,7 @@ impl ApiState {
         }
     }
 
-    /// Reads from this flag whether the server is draining.
+    /// Uses this flag, which the shutdown sets, so that the readiness probe fails from then on.
     #[must_use]
     pub fn with_draining(self, is_draining: Arc<AtomicBool>) -> Self {
         Self { is_draining, ..self }
@@ -187,6 +187,7 @@ impl ApiState {
 )]
 struct Doc;
 
+/// Returns all routes with their descriptions.
 fn routed() -> OpenApiRouter<ApiState> {
     OpenApiRouter::with_openapi(Doc::openapi())
         .routes(routes!(volumes::list))
@@ -211,7 +212,7 @@ fn routed() -> OpenApiRouter<ApiState> {
         .routes(routes!(metrics::show))
 }
 
-/// The description of this API, OpenAPI 3.1.
+/// Returns the OpenAPI 3.1 description of this API.
 pub fn openapi() -> utoipa::openapi::OpenApi {
     described(routed().into_openapi())
 }
@@ -221,24 +222,24 @@ fn described(mut openapi: utoipa::openapi::OpenApi) -> utoipa::openapi::OpenApi 
     openapi
 }
 
-/// Returns the description as it is sent. It is serialized once.
-fn described_once(description: &utoipa::openapi::OpenApi) -> Arc<Precompressed> {
-    // Cannot fail: all keys of its maps are strings.
+/// Serializes the description for all requests.
+fn precompressed_description(description: &utoipa::openapi::OpenApi) -> Arc<Precompressed> {
+    // Cannot fail: serde_json fails only for maps whose keys are not strings, and the description has no such maps.
     let text = serde_json::to_vec(description).unwrap_or_default();
     let hash = format!("{:032x}", xxhash_rust::xxh3::xxh3_128(&text));
     Arc::new(Precompressed::new(text.into(), hash, true))
 }
 
-/// REST, and the web client on all other paths.
+/// Returns the router of the REST API, and of the web client on all other paths.
 pub fn router(state: ApiState) -> Router {
     let (router, description) = routed().split_for_parts();
-    let description = described_once(&described(description));
-    let answer_description = async move |request: HeaderMap| {
+    let description = precompressed_description(&described(description));
+    let serve_description = async move |request: HeaderMap| {
         let json = HeaderValue::from_static("application/json");
         description.respond(&request, HeaderMap::from_iter([(header::CONTENT_TYPE, json)]))
     };
     router
-        .route("/api/v1/openapi.json", get(answer_description))
+        .route("/api/v1/openapi.json", get(serve_description))
         .method_not_allowed_fallback(method_not_allowed)
         .fallback(web_client::serve)
         .layer(CatchPanicLayer::custom(panicked))
@@ -247,7 +248,7 @@ pub fn router(state: ApiState) -> Router {
         .with_state(state)
 }
 
-/// Returns a router for metrics and health alone, for an address of their own. It needs no token, and no TLS, which probes rarely support.
+/// Returns a router with only metrics and probes, for a separate address. It requires no token and no TLS, which probes rarely support.
 pub fn metrics_router(state: ApiState) -> Router {
     Router::new()
         .route("/metrics", get(metrics::show))
@@ -256,17 +257,17 @@ pub fn metrics_router(state: ApiState) -> Router {
         .with_state(state)
 }
 
-/// Reads a whole number of a query.
+/// Deserializes a whole number of a query. The message of the error names the expected range.
 fn whole_number<'de, D: Deserializer<'de>>(from: D) -> Result<u32, D::Error> {
     let text = String::deserialize(from)?;
     text.parse()
         .map_err(|_| D::Error::custom(format!("{text:?}, expected a whole number, 0 to {}", u32::MAX)))
 }
 
-/// The answer to a request whose handler panicked.
+/// Returns the response to a request whose handler panicked.
 fn panicked(panic: Box<dyn Any + Send>) -> Response {
-    let words = (panic.downcast_ref::<String>().map(String::as_str)).or(panic.downcast_ref::<&str>().copied());
-    ApiError::internal(words.unwrap_or("a handler panicked")).into_response()
+    let message = (panic.downcast_ref::<String>().map(String::as_str)).or(panic.downcast_ref::<&str>().copied());
+    ApiError::internal(message.unwrap_or("a handler panicked")).into_response()
 }
 
 async fn method_not_allowed(method: Method, uri: Uri) -> Response {

@@ -1,4 +1,4 @@
-//! Sign-in by an issuer of OpenID Connect: a browser goes there and comes back with a code.
+//! Sign-in through an OpenID Connect issuer: redirects a browser to the issuer, and receives the browser when it returns with a code.
 
 use axum::Json;
 use axum::extract::{Query, State};
@@ -95,13 +95,17 @@ pub async fn callback(
     headers: HeaderMap,
     query: Result<Query<Callback>, axum::extract::rejection::QueryRejection>,
 ) -> Result<Response, ApiError> {
-    let Query(Callback { code, state: of, error }) = query?;
+    let Query(Callback {
+        code,
+        state: sign_in_state,
+        error,
+    }) = query?;
     let Some(oidc) = state.access.oidc() else {
-        return Err(none());
+        return Err(no_issuer());
     };
-    let signed_in = match (code, of) {
-        (Some(code), Some(of)) => state.access.end_sign_in(&headers, &of, &code).await,
-        // The code is the issuer's own: a word of ASCII (RFC 6749, section 4.1.2.1).
+    let signed_in = match (code, sign_in_state) {
+        (Some(code), Some(sign_in_state)) => state.access.end_sign_in(&headers, &sign_in_state, &code).await,
+        // The error is an ASCII word of the issuer (RFC 6749, section 4.1.2.1).
         _ => Err(ApiError::new(
             StatusCode::UNAUTHORIZED,
             "unauthorized",
@@ -115,10 +119,11 @@ pub async fn callback(
             response.extensions_mut().insert(who);
             Ok(response)
         }
-        Err(failed) => {
-            failed.log();
-            let mut response = redirect(&state.access.sign_in_failed(&failed), [])?;
-            response.extensions_mut().insert(ProblemCode(failed.code()));
+        Err(error) => {
+            error.log();
+            let mut response = redirect(&state.access.sign_in_failed(&error), [])?;
+            // The audit log reads the code from the response.
+            response.extensions_mut().insert(ProblemCode(error.code()));
             Ok(response)
         }
     }
@@ -151,7 +156,7 @@ pub struct SignedOut {
     end_session: Option<String>,
 }
 
-fn none() -> ApiError {
+fn no_issuer() -> ApiError {
     ApiError::new(
         StatusCode::NOT_FOUND,
         "not-found",

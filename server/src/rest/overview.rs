@@ -1,4 +1,4 @@
-//! Volumes at a low resolution.
+//! Overviews: volumes at a low resolution.
 
 use std::io;
 
@@ -18,7 +18,7 @@ use crate::access::{Identity, Occupant};
 use crate::pool;
 use crate::problem::{ApiError, Problem};
 
-/// Header with the size and the range of an overview, JSON in ASCII ([`OverviewInfo`]).
+/// Header with the size and the range of an overview: an `OverviewInfo` as JSON in ASCII.
 pub const OVERVIEW_HEADER: HeaderName = HeaderName::from_static("isopeel-overview");
 
 /// What stands for the samples of a block.
@@ -109,10 +109,10 @@ pub async fn overview(
     let worker = state.worker_for(&who);
     let admit = || {
         let seat = state.overviews.take(Occupant::from(&who));
-        seat.map_err(|none| ApiError::busy(none.to_string()))
+        seat.map_err(|refused| ApiError::busy(refused.to_string()))
     };
-    let found = worker.overview(&volume, &field.name, query.mode.into(), admit).await;
-    let overview = found.map_err(|error| state.failed_on(&who, &volume, error))?;
+    let overview = worker.overview(&volume, &field.name, query.mode.into(), admit).await;
+    let overview = overview.map_err(|error| state.failed_on(&who, &volume, error))?;
     let info = ascii_header(&OverviewInfo {
         field: &field.name,
         mode: query.mode,

@@ -1,4 +1,4 @@
-//! Bodies that never change: compressed once for all requests, and identified by an entity tag.
+//! Bodies that never change. Each is compressed once for all requests, and has an entity tag.
 
 use std::sync::OnceLock;
 
@@ -8,14 +8,14 @@ use axum::response::{IntoResponse, Response};
 
 use super::content_encoding::ContentEncoding;
 
-/// Minimum bytes of a body that is compressed; smaller ones gain nothing.
+/// Minimum bytes of a body that is compressed, because compressing a smaller one gains nothing.
 const MIN_BYTES: usize = 1 << 10;
 
-/// A body in each encoding that was requested so far.
+/// A body, and its encoded forms that were requested so far.
 #[derive(Debug)]
 pub(super) struct Precompressed {
     bytes: Bytes,
-    /// Hash of its content: equal hashes mean equal bytes.
+    /// Hash of the content, for the entity tag.
     hash: String,
     is_compressible: bool,
     gzip: OnceLock<Bytes>,
@@ -23,7 +23,7 @@ pub(super) struct Precompressed {
 }
 
 impl Precompressed {
-    /// Creates a body with the hash of its content. Images and the like are not compressible, and are sent as they are.
+    /// Creates a body. `hash` is a hash of `bytes`. A body that is not compressible, such as an image, is sent unencoded.
     pub(super) fn new(bytes: Bytes, hash: String, is_compressible: bool) -> Self {
         Self {
             is_compressible: is_compressible && bytes.len() >= MIN_BYTES,
@@ -34,7 +34,8 @@ impl Precompressed {
         }
     }
 
-    /// Answers a request with `headers` and the entity tag of the encoding; with status 304 if the client has the body in any encoding.
+    /// Returns the response to a request, with `headers` and the entity tag of the encoding. Its status is 304 if the client has the body
+    /// in any encoding.
     pub(super) fn respond(&self, request: &HeaderMap, mut headers: HeaderMap) -> Response {
         let encoding = match self.is_compressible {
             true => ContentEncoding::accepted(request),
@@ -54,6 +55,7 @@ impl Precompressed {
         (headers, Body::from(self.encoded(encoding))).into_response()
     }
 
+    /// Returns the body in an encoding, compressed at the first call.
     fn encoded(&self, encoding: ContentEncoding) -> Bytes {
         let compressed = match encoding {
             ContentEncoding::Identity => return self.bytes.clone(),

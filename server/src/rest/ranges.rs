@@ -1,4 +1,4 @@
-//! Parts of files: the headers `Range`, `If-Range` and `Content-Range`.
+//! Range requests: the headers `Range`, `If-Range` and `Content-Range`.
 
 use std::ops::Range;
 
@@ -8,18 +8,18 @@ use http_range_header::parse_range_header;
 
 use crate::problem::ApiError;
 
-/// The part of a file that a request asks for.
+/// The requested part of a file.
 pub(super) enum RequestedRange {
     Whole,
     Part(Range<u64>),
-    /// The part begins beyond the end of the file. Contains the response to send, with status 416.
+    /// The range begins beyond the end of the file. Contains the response with status 416.
     NotSatisfiable(Response),
 }
 
 impl RequestedRange {
-    /// Returns the requested part of a file with this entity tag and length; the whole file if `If-Range` names another tag.
+    /// Returns the requested part of a file with this entity tag and `bytes` bytes. Returns the whole file if `If-Range` names another tag.
     pub(super) fn from_headers(headers: &HeaderMap, tag: &str, bytes: u64) -> Self {
-        let applies = headers.get(header::IF_RANGE).is_none_or(|shown| shown == tag);
+        let applies = headers.get(header::IF_RANGE).is_none_or(|other| other == tag);
         let range = headers.get(header::RANGE).filter(|_| applies);
         match range.map(|range| parse_range(range.to_str().unwrap_or_default(), bytes)) {
             Some(Ok(Some(part))) => Self::Part(part),
@@ -32,21 +32,22 @@ impl RequestedRange {
     }
 }
 
-/// Returns the value of `Content-Range` for a part of a file of `bytes` bytes. The part is not empty.
+/// Returns the value of `Content-Range` for a part of a file of `bytes` bytes. The part must not be empty.
 pub(super) fn content_range(part: &Range<u64>, bytes: u64) -> String {
     format!("bytes {}-{}/{bytes}", part.start, part.end - 1)
 }
 
-/// Returns the part that a `Range` requests. `None` means the whole file: the answer to several ranges, and to a range that is invalid.
+/// Parses the value of `Range` for a file of `bytes` bytes. Returns `None`, which means the whole file, for an invalid value and for
+/// several ranges.
 ///
 /// # Errors
-/// The range begins beyond the end.
+/// The range begins beyond the end of the file.
 fn parse_range(range: &str, bytes: u64) -> Result<Option<Range<u64>>, ApiError> {
     let Ok(parsed) = parse_range_header(range) else {
         return Ok(None);
     };
     match parsed.validate(bytes).as_deref() {
-        Ok([one]) => Ok(Some(*one.start()..*one.end() + 1)),
+        Ok([range]) => Ok(Some(*range.start()..*range.end() + 1)),
         Ok(_) => Ok(None),
         Err(_) => {
             let message = format!("range {range:?}, expected one in the {bytes} bytes of the file");

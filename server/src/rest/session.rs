@@ -1,4 +1,4 @@
-//! A page's session: the token for a cookie.
+//! Sessions of pages: exchanges a token for a cookie.
 
 use axum::Json;
 use axum::extract::State;

@@ -1,4 +1,4 @@
-//! Planes of samples: raw for a shader, or as a picture.
+//! Slices: planes of samples as raw bytes, pictures, files with positions, or contours.
 
 use axum::extract::rejection::{PathRejection, QueryRejection};
 use axum::extract::{Path, Query, State};
@@ -18,7 +18,7 @@ use crate::export::slice::{Axis, BadSlice, Plane, SliceFormat, SliceOptions, iso
 use crate::pool;
 use crate::problem::{ApiError, Problem};
 
-/// Header with the type of a slice's samples and their positions, JSON in ASCII ([`SliceInfo`]).
+/// Header with type and positions of the samples of a slice: a [`SliceInfo`] as JSON in ASCII.
 pub const SLICE_HEADER: HeaderName = HeaderName::from_static("isopeel-slice");
 
 /// Which slice.
@@ -110,7 +110,7 @@ pub async fn slice(
     let options = query.options()?;
     plane.check(&options).map_err(refused)?;
     let seat = state.slices.take(Occupant::from(&who));
-    let _seat = seat.map_err(|none| ApiError::busy(none.to_string()))?;
+    let _seat = seat.map_err(|refused| ApiError::busy(refused.to_string()))?;
     let worker = state.worker_for(&who);
     let (slice, range) = shown_slice(&worker, &volume, &plane, &options)
         .await
@@ -138,13 +138,14 @@ impl SliceQuery {
     }
 }
 
+/// Returns the field of a name or expression; without a name, the first field of the volume.
 pub(super) fn field_of(volume: &VolumeStep, name: Option<&str>) -> Result<Field, ApiError> {
     let dataset = volume.dataset();
-    let found = match name {
+    let field = match name {
         None => dataset.fields.first().cloned(),
         Some(name) => fields::field_or_computed(dataset, name),
     };
-    found.ok_or_else(|| {
+    field.ok_or_else(|| {
         let (name, names) = (name.unwrap_or_default(), dataset.field_names());
         let mistake = match FieldExpression::may_be(name) {
             true => FieldExpression::parse(name, &names, "field").err(),
@@ -173,7 +174,7 @@ fn info(plane: &Plane, sample_type: SampleType) -> SliceInfo<'_> {
     }
 }
 
-/// Converts to JSON for a header. Characters that are not ASCII are escaped.
+/// Converts a value to JSON for a header. Escapes all characters that are not printable ASCII.
 pub(super) fn ascii_header(info: &impl Serialize) -> Result<HeaderValue, ApiError> {
     let json = serde_json::to_string(info).map_err(ApiError::internal)?;
     let mut ascii = String::with_capacity(json.len());

@@ -36,9 +36,9 @@ pub struct TicketInfo {
     ),
 )]
 pub async fn issue(State(state): State<ApiState>, who: Identity, headers: HeaderMap) -> Result<Response, ApiError> {
-    let made = TicketInfo {
+    let info = TicketInfo {
         ticket: state.access.issue_ticket(&who, headers.get(header::ORIGIN))?,
         expires_seconds: TICKET_LIFETIME.as_secs(),
     };
-    Ok((StatusCode::CREATED, [(header::CACHE_CONTROL, "no-store")], Json(made)).into_response())
+    Ok((StatusCode::CREATED, [(header::CACHE_CONTROL, "no-store")], Json(info)).into_response())
 }

@@ -1,5 +1,6 @@
-//! Volumes that users upload. Parts are sent by the core of tus 1.0 (<https://tus.io/protocols/resumable-upload>), for which many languages
-//! have clients. The requests that begin and finish an upload are isopeel's own, because an upload has many files and becomes a volume.
+//! Routes of uploads. Clients send parts by the core protocol of tus 1.0 (<https://tus.io/protocols/resumable-upload>), which has clients
+//! in many languages. The requests that begin and finish an upload are specific to isopeel, because an upload has many files and becomes a
+//! volume.
 
 use std::time::Duration;
 
@@ -19,7 +20,7 @@ use crate::access::Identity;
 use crate::problem::{ApiError, Problem};
 use crate::uploads::{MAX_REQUEST_BYTES, UploadError, UploadInfo, UploadList, UploadRequest, Uploads};
 
-/// Header of tus: the offset in the upload.
+/// Header of tus: offset of a part in the upload, in bytes.
 pub const OFFSET_HEADER: HeaderName = HeaderName::from_static("upload-offset");
 /// Header of tus: bytes of the whole upload.
 pub const LENGTH_HEADER: HeaderName = HeaderName::from_static("upload-length");
@@ -30,12 +31,13 @@ const TUS_VERSION: &str = "1.0.0";
 /// Media type of parts.
 const PART_TYPE: &str = "application/offset+octet-stream";
 
-/// Maximum bytes of a refused part's body that are drained before the answer, for at most [`DRAIN`]. If a connection is closed before the
-/// body was read, it is reset, and the client may lose the answer.
-const DRAINED_BYTES: usize = 16 << 20;
-const DRAIN: Duration = Duration::from_secs(5);
+/// Maximum bytes of a refused body that the server drains before it responds. If the server closed the connection without reading the body,
+/// the connection would be reset, and the client could lose the response.
+const MAX_DRAINED_BYTES: usize = 16 << 20;
+/// Maximum time for draining a body.
+const DRAIN_LIMIT: Duration = Duration::from_secs(5);
 
-/// The paths of uploads.
+/// Returns the routes of uploads.
 pub(super) fn routed() -> OpenApiRouter<ApiState> {
     OpenApiRouter::new()
         .routes(routes!(create, list))
@@ -45,7 +47,7 @@ pub(super) fn routed() -> OpenApiRouter<ApiState> {
 }
 
 impl ApiState {
-    /// Returns the uploads, or an error if the server does not accept any.
+    /// Returns the uploads, or an error if the server accepts none.
     fn uploads(&self) -> Result<&Uploads, ApiError> {
         self.uploads.as_ref().ok_or_else(|| {
             let message = "uploads are disabled on this server, expected one that was started with --uploads DIR";
@@ -188,7 +190,7 @@ async fn offset(
     id: Result<Path<String>, PathRejection>,
     headers: HeaderMap,
 ) -> Response {
-    let answer = async {
+    let outcome = async {
         check_version(&headers)?;
         let (offset, length) = state.uploads()?.offset(who.reader(), &id?.0).await?;
         let headers = [
@@ -198,7 +200,7 @@ async fn offset(
         ];
         Ok(headers.into_response())
     };
-    by_tus(answer.await)
+    with_tus_headers(outcome.await)
 }
 
 /// Takes bytes that follow those that are there, as tus 1.0 has it. Of a body that ends too early what came is kept. Another `PATCH` for the same
@@ -239,14 +241,17 @@ async fn send(
     body: Body,
 ) -> Response {
     let mut body = body.into_data_stream();
-    let taken = take(&state, &who, id, &headers, &mut body).await;
-    if taken.is_err() {
-        let _ = tokio::time::timeout(DRAIN, drain(&mut body)).await;
+    let received = receive(&state, &who, id, &headers, &mut body).await;
+    if received.is_err() {
+        let _ = tokio::time::timeout(DRAIN_LIMIT, drain(&mut body)).await;
     }
-    by_tus(taken.map(|offset| (StatusCode::NO_CONTENT, [(OFFSET_HEADER, HeaderValue::from(offset))]).into_response()))
+    with_tus_headers(
+        received.map(|offset| (StatusCode::NO_CONTENT, [(OFFSET_HEADER, HeaderValue::from(offset))]).into_response()),
+    )
 }
 
-async fn take(
+/// Checks the headers of a part, and receives its body. Returns the new offset.
+async fn receive(
     state: &ApiState,
     who: &Identity,
     id: Result<Path<String>, PathRejection>,
@@ -255,7 +260,10 @@ async fn take(
 ) -> Result<u64, ApiError> {
     check_version(headers)?;
     let uploads = state.uploads()?;
-    if headers.get(header::CONTENT_TYPE).is_none_or(|found| found != PART_TYPE) {
+    if headers
+        .get(header::CONTENT_TYPE)
+        .is_none_or(|media_type| media_type != PART_TYPE)
+    {
         let message = format!("expected Content-Type: {PART_TYPE}");
         return Err(ApiError::new(
             StatusCode::UNSUPPORTED_MEDIA_TYPE,
@@ -276,7 +284,7 @@ async fn drain(body: &mut BodyDataStream) {
     let mut drained = 0;
     while let Some(Ok(piece)) = body.next().await {
         drained += piece.len();
-        if drained > DRAINED_BYTES {
+        if drained > MAX_DRAINED_BYTES {
             return;
         }
     }
@@ -296,13 +304,13 @@ fn check_version(headers: &HeaderMap) -> Result<(), ApiError> {
     }
 }
 
-/// Adds the headers of tus to an answer.
-fn by_tus(answer: Result<Response, ApiError>) -> Response {
-    let mut answer = answer.into_response();
-    let headers = answer.headers_mut();
+/// Adds the headers of tus to a response.
+fn with_tus_headers(outcome: Result<Response, ApiError>) -> Response {
+    let mut response = outcome.into_response();
+    let headers = response.headers_mut();
     headers.insert(TUS_HEADER, HeaderValue::from_static(TUS_VERSION));
     headers.insert(TUS_VERSIONS_HEADER, HeaderValue::from_static(TUS_VERSION));
-    answer
+    response
 }
 
 /// All bytes are there: reads the files as `isopeel serve` would, and offers their volumes to the user who uploaded them. Repeating the

@@ -1,4 +1,4 @@
-//! The list of volumes, and the description of each.
+//! Routes of volumes: the list, and the description of each volume.
 
 use std::slice;
 use std::sync::Arc;
@@ -181,16 +181,16 @@ pub async fn expression(
     let described = describe_expression(&state.worker_for(&who), &volume, &expression).await;
     match described.map_err(|error| state.failed_on(&who, &volume, error)) {
         Err(error) if typed && error.code() == "bad-edit" => {
-            let mut answer = error.into_response();
-            *answer.status_mut() = StatusCode::OK;
-            Ok(answer)
+            let mut response = error.into_response();
+            *response.status_mut() = StatusCode::OK;
+            Ok(response)
         }
         described => Ok(Json(described?).into_response()),
     }
 }
 
 impl ApiState {
-    /// Returns one time step of a volume. A volume that the user may not see is reported as unknown.
+    /// Returns a time step of a volume. For a volume that the user may not see, returns the same error as for an unknown one.
     pub(super) fn volume(&self, who: &Identity, id: &str, step: u32) -> Result<VolumeStep, ApiError> {
         let dataset = self.catalog.find(id, who.reader());
         Ok(VolumeStep::new(
@@ -199,13 +199,13 @@ impl ApiState {
         )?)
     }
 
-    /// Returns the device's worker. Its time is charged to the user, unless they are exempt from limits.
+    /// Returns a device worker whose time is charged to the user, unless the user is exempt from limits.
     pub(super) fn worker_for(&self, who: &Identity) -> DeviceWorker {
         self.worker.charged_to(who.limited_user())
     }
 
-    /// Returns the answer to work on these volumes that failed. If one of them was removed meanwhile, the answer is that it is unknown. If
-    /// an uploaded one cannot be read, the fault is its user's, not the server's.
+    /// Converts an error of work on these volumes to a problem. An unreadable volume becomes an unknown volume if it was removed meanwhile.
+    /// If it was uploaded, the status is 422 instead of 500, because the user has caused the error.
     pub(super) fn failed(&self, who: &Identity, volumes: &[Arc<Dataset>], error: impl Into<ApiError>) -> ApiError {
         let error = error.into();
         if error.code() != "unreadable-volume" {
@@ -221,7 +221,7 @@ impl ApiState {
         }
     }
 
-    /// As [`ApiState::failed`], for one volume.
+    /// Converts an error as [`ApiState::failed`] does, for a single volume.
     pub(super) fn failed_on(&self, who: &Identity, volume: &VolumeStep, error: impl Into<ApiError>) -> ApiError {
         self.failed(who, slice::from_ref(volume.dataset()), error)
     }

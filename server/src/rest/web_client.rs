@@ -1,4 +1,4 @@
-//! The web client, embedded in the binary as Vite built it, and served as static files.
+//! Serves the web client: static files that Vite has built, and that are embedded in the binary.
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -13,32 +13,32 @@ use rust_embed::RustEmbed;
 use super::precompressed::Precompressed;
 use crate::problem::ApiError;
 
-// Release builds embed the files, debug builds read the folder.
+// Release builds embed the files; debug builds read them from the folder.
 #[derive(RustEmbed)]
 #[folder = "../web/dist"]
 #[allow_missing = true]
 struct Dist;
 
 const INDEX: &str = "index.html";
-/// The page of a binary that was compiled without the client.
+/// The page of a binary that was built without the web client.
 const PLACEHOLDER: &str = include_str!("web_client/placeholder.html");
 
-/// Vite puts a hash of the content into the names below `assets/`: such a file never changes.
+/// Folder of files that never change, because Vite puts a hash of the content into their names.
 const HASHED_FOLDER: &str = "assets/";
-/// The file may be cached for a year without a request.
+/// `Cache-Control` of files that never change: caches may use them for a year without a request.
 const FOREVER: &str = "public, max-age=31536000, immutable";
-/// The file may be cached, but must be revalidated each time. The entity tag then gives a 304.
+/// `Cache-Control` of other files: caches must revalidate them each time, by the entity tag.
 const REVALIDATE: &str = "no-cache";
 
-/// Maximum number of cached bodies. The client has fewer files.
+/// Maximum number of cached bodies. The web client has fewer files.
 const MAX_BODIES: usize = 1_024;
 
-/// Answers paths that have no route. Sends a file of the client if the path names one. Other paths without an extension are addresses of
-/// the client, and get its page. All others, and those below `/api/`, get a problem with status 404.
+/// Handles all paths without a route. A path of a file gets this file. Another path without an extension gets the page of the web client,
+/// which interprets the path. Any other path, and any path below `/api/`, gets a problem with status 404.
 pub async fn serve(method: Method, uri: Uri, headers: HeaderMap) -> Response {
     let path = uri.path().trim_start_matches('/');
     let first = path.split('/').next().unwrap_or_default();
-    // Paths of the API and of the probes are not addresses of the client, even with additional leading slashes.
+    // The web client never interprets paths of the API, the metrics and the probes, even with additional leading slashes.
     if ["api", "metrics", "healthz", "readyz"].contains(&first) {
         return ApiError::not_found(uri.path()).into_response();
     }
@@ -49,8 +49,8 @@ pub async fn serve(method: Method, uri: Uri, headers: HeaderMap) -> Response {
     if let Some(file) = Dist::get(name) {
         return respond(name, file.data, file.metadata.sha256_hash(), &headers);
     }
-    let last = path.rsplit('/').next().unwrap_or_default();
-    if name != INDEX && last.contains('.') {
+    let file_name = path.rsplit('/').next().unwrap_or_default();
+    if name != INDEX && file_name.contains('.') {
         return ApiError::not_found(uri.path()).into_response();
     }
     match Dist::get(INDEX) {
@@ -66,7 +66,7 @@ pub async fn serve(method: Method, uri: Uri, headers: HeaderMap) -> Response {
     }
 }
 
-/// Returns the response with a file of the client: its headers, and its body in an encoding that the request accepts.
+/// Returns the response with a file of the web client, in an encoding that the request accepts.
 fn respond(name: &str, data: Cow<'static, [u8]>, hash: [u8; 32], request: &HeaderMap) -> Response {
     let caching = if name.starts_with(HASHED_FOLDER) {
         FOREVER
@@ -82,11 +82,11 @@ fn respond(name: &str, data: Cow<'static, [u8]>, hash: [u8; 32], request: &Heade
     body(data, hash, &content_type).respond(request, headers)
 }
 
-/// Returns the body of a file. It is compressed once for all requests.
+/// Returns the body of a file with this hash from a cache, so that it is compressed once for all requests.
 fn body(data: Cow<'static, [u8]>, hash: [u8; 32], content_type: &str) -> Arc<Precompressed> {
     static BODIES: Mutex<BTreeMap<[u8; 32], Arc<Precompressed>>> = Mutex::new(BTreeMap::new());
     let mut bodies = BODIES.lock().unwrap_or_else(PoisonError::into_inner);
-    // Only a debug build reaches the limit, because it serves a folder whose files change.
+    // Only a debug build can reach the limit, because the files in its folder change.
     if bodies.len() >= MAX_BODIES {
         bodies.clear();
     }

@@ -1,5 +1,5 @@
-//! Accepts connections, with or without TLS, within limits of time, memory and number. `axum::serve` has no such limits: a request that is
-//! never finished holds its connection for ever.
+//! Accepts connections, with or without TLS, and limits their number, memory and time. `axum::serve` has no such limits: a client that
+//! never completes its request would hold a connection forever.
 
 use std::collections::HashMap;
 use std::io;
@@ -33,26 +33,26 @@ use crate::stream::MAX_VIEWERS;
 /// Limits of connections.
 #[derive(Clone, Copy, Debug)]
 pub struct ConnectionLimits {
-    /// Connections at a time, streams among them; further ones wait in the system's queue.
+    /// Maximum number of open connections, including streams. Further connections wait in the backlog of the listening socket.
     pub all: usize,
-    /// Connections of one peer at a time. A peer is an IPv4 address, or an IPv6 network of 64 bits; further connections are answered with
-    /// 503 and closed.
+    /// Maximum number of open connections of one peer. A peer is an IPv4 address or a /64 network of IPv6. The server answers further
+    /// connections with 503 and closes them.
     pub per_peer: usize,
-    /// Time for a request's head to arrive; also how long a connection without a request stays open.
+    /// Time limit for the head of a request. A connection without a request is closed after the same time.
     pub head: Duration,
 }
 
-/// Upper bound of the files that a server has open beside its connections.
+/// Maximum number of files that a server has open in addition to its connections.
 const OTHER_FILES: usize = 256;
 
-/// Maximum number of connections: twice the viewers that a server admits.
+/// Maximum number of connections: one for the stream of each viewer, and as many for other requests.
 const MAX_CONNECTIONS: usize = 2 * MAX_VIEWERS;
 
-/// Files that a process usually may have open.
+/// Usual limit of open files of a process.
 const USUAL_FILES: usize = 1024;
 
 impl ConnectionLimits {
-    /// Derives the limits from the number of open files that the system allows this process, after asking for more.
+    /// Raises the limit of open files of this process as far as necessary and allowed, and derives the limits from it.
     pub fn of_process() -> Self {
         let wanted = (MAX_CONNECTIONS + OTHER_FILES) as u64;
         let files = rlimit::increase_nofile_limit(wanted).map_or(USUAL_FILES, |files| files as usize);
@@ -67,8 +67,9 @@ impl ConnectionLimits {
         limits
     }
 
-    /// Five eighths are for one peer: a browser has six and a stream for each tab, and a proxy has those of all its clients.
+    /// Derives the limits from a maximum number of open files.
     fn of_files(files: usize) -> Self {
+        // One peer gets five eighths: a browser opens six connections and a stream for each tab, and many clients may share an address.
         let all = files.saturating_sub(OTHER_FILES).clamp(1, MAX_CONNECTIONS);
         Self {
             all,
@@ -87,15 +88,16 @@ impl Default for ConnectionLimits {
 /// Maximum bytes of a request's head, and of the buffers for reading and writing ahead.
 const BUFFER_BYTES: usize = 16 * 1024;
 
-/// Pause after the system had no files or memory to accept a connection.
+/// Pause after an accept that failed because the system is out of files or memory.
 const ACCEPT_PAUSE: Duration = Duration::from_millis(100);
 
-/// Answer to a peer with too many connections.
+/// Response to a peer with too many connections.
 const TOO_MANY: &[u8] =
     b"HTTP/1.1 503 Service Unavailable\r\nRetry-After: 10\r\nConnection: close\r\nContent-Type: text/plain\r\n\
     Content-Length: 43\r\n\r\ntoo many connections from your address now\n";
 
-/// Serves until `stop`, and then until the running requests are answered. Dropping the future ends all connections.
+/// Serves connections until `stop` is cancelled, then until all running requests have their responses. Dropping the future closes all
+/// connections.
 pub(super) async fn serve(
     listener: Listener,
     app: Router,
@@ -133,7 +135,7 @@ pub(super) async fn serve(
     while connections.join_next().await.is_some() {}
 }
 
-/// Everything that is needed to serve a connection.
+/// What the server needs to serve a connection, apart from its socket.
 struct Connection {
     http: http1::Builder,
     peer: PeerAddress,
@@ -143,20 +145,20 @@ struct Connection {
 }
 
 impl Connection {
-    /// Serves a connection after its handshake, which has the time of a head.
+    /// Completes the TLS handshake within `limit`, then serves the connection.
     async fn serve_tls(self, socket: Counted, acceptor: TlsAcceptor, limit: Duration) {
-        let shaken = tokio::select! {
+        let handshake = tokio::select! {
             () = self.stop.cancelled() => return,
-            shaken = timeout(limit, acceptor.accept(socket)) => shaken,
+            handshake = timeout(limit, acceptor.accept(socket)) => handshake,
         };
-        match shaken {
+        match handshake {
             Ok(Ok(socket)) => self.serve(socket).await,
             Ok(Err(error)) => tracing::debug!(%error, "no TLS"),
             Err(_) => tracing::debug!("no TLS in {} s", limit.as_secs()),
         }
     }
 
-    /// Serves a connection to its end; after `stop`, only to the end of its current request.
+    /// Serves a connection until it is closed. If `stop` is cancelled, closes the connection after the current request.
     async fn serve<I>(self, socket: I)
     where
         I: AsyncRead + AsyncWrite + Unpin + Send + 'static,
@@ -165,13 +167,13 @@ impl Connection {
         let is_stream = self.is_stream;
         let service = service_fn(move |mut request: Request<Incoming>| {
             request.extensions_mut().insert(peer);
-            let (answer, is_stream) = (app.call(request), Arc::clone(&is_stream));
+            let (response, is_stream) = (app.call(request), Arc::clone(&is_stream));
             async move {
-                let answer = answer.await;
-                if matches!(&answer, Ok(answer) if answer.status() == StatusCode::SWITCHING_PROTOCOLS) {
+                let response = response.await;
+                if matches!(&response, Ok(response) if response.status() == StatusCode::SWITCHING_PROTOCOLS) {
                     is_stream.store(true, Ordering::Relaxed);
                 }
-                answer
+                response
             }
         });
         let connection = self
@@ -192,7 +194,7 @@ impl Connection {
     }
 }
 
-/// Accepts the next connection; `None` if that failed or it was refused.
+/// Accepts the next connection. Returns `None` if the system could not accept it, or if the server refused it.
 async fn accept(listener: &Listener, peers: &Arc<Peers>) -> Option<Counted> {
     let permit = Arc::clone(&peers.all).acquire_owned().await.ok()?;
     let (socket, peer) = match listener.accept().await {
@@ -203,7 +205,7 @@ async fn accept(listener: &Listener, peers: &Arc<Peers>) -> Option<Counted> {
             return None;
         }
     };
-    let Some(counted) = peers.take(peer, permit) else {
+    let Some(guard) = peers.admit(peer, permit) else {
         tracing::debug!(%peer, "too many connections of one peer");
         socket.refuse(TOO_MANY);
         return None;
@@ -213,15 +215,16 @@ async fn accept(listener: &Listener, peers: &Arc<Peers>) -> Option<Counted> {
         address: peer,
         is_stream: Arc::default(),
         pace: ReadPace::default(),
-        _counted: counted,
+        _guard: guard,
     })
 }
 
-/// Counts of connections by peer.
+/// Counts of connections, in total and by peer.
 struct Peers {
+    /// One permit for each connection that may be open.
     all: Arc<Semaphore>,
     per_peer: usize,
-    /// Proxies carry many clients, so they have no limit per peer.
+    /// Trusted proxies. They have no limit per peer, because they carry many clients.
     proxies: Arc<[TrustedProxy]>,
     counts: Mutex<HashMap<IpAddr, usize>>,
 }
@@ -236,7 +239,8 @@ impl Peers {
         }
     }
 
-    fn take(self: &Arc<Self>, address: IpAddr, permit: OwnedSemaphorePermit) -> Option<PeerGuard> {
+    /// Counts a connection; `None` if the peer has its maximum number of connections.
+    fn admit(self: &Arc<Self>, address: IpAddr, permit: OwnedSemaphorePermit) -> Option<PeerGuard> {
         let peer = counted_as(address);
         let mut counts = self.counts.lock().unwrap_or_else(PoisonError::into_inner);
         let count = counts.entry(peer).or_default();
@@ -252,7 +256,7 @@ impl Peers {
     }
 }
 
-/// Counts one connection of a peer until it is dropped.
+/// Guard of one counted connection. Dropping the guard ends the count and returns the permit.
 struct PeerGuard {
     peers: Arc<Peers>,
     peer: IpAddr,
@@ -271,13 +275,13 @@ impl Drop for PeerGuard {
     }
 }
 
-/// A socket that is counted, also after it has become a stream. From then on the rate of its reads is limited.
+/// A socket of a counted connection. After the connection has become a stream, the rate of reads is limited.
 struct Counted {
     socket: Socket,
     address: IpAddr,
     is_stream: Arc<AtomicBool>,
     pace: ReadPace,
-    _counted: PeerGuard,
+    _guard: PeerGuard,
 }
 
 impl AsyncRead for Counted {

@@ -1,4 +1,4 @@
-//! Listener of a server: an address and port, or a Unix socket, whose file only its user may access.
+//! Listening socket of the server: an address and port, or a Unix socket that only its user may access.
 
 use std::fmt;
 use std::io::{self, Write};
@@ -12,17 +12,18 @@ use std::task::{Context, Poll};
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::net::{TcpListener, TcpStream, UnixListener, UnixStream};
 
-/// Unsent bytes that the system buffers for a connection beyond those that it may send now; a fast line is refilled before they run out.
+/// Maximum number of unsent bytes that the kernel buffers for a connection, in addition to the bytes in flight. Large enough that the
+/// server can refill the buffer of a fast line in time.
 #[cfg(target_os = "linux")]
 const NOT_SENT_BYTES: u32 = 128 << 10;
 
 /// Prefix of the path of a Unix socket.
 const UNIX: &str = "unix:";
 
-/// Address that a server is to listen on.
+/// Address on which the server listens.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum ListenAddress {
-    /// An address and port; port 0 is a free one.
+    /// An address and port. With port 0, the system assigns a free port.
     Tcp(SocketAddr),
     /// The path of a Unix socket.
     Unix(PathBuf),
@@ -70,10 +71,10 @@ impl From<TcpListener> for Listener {
 }
 
 impl Listener {
-    /// Listens there.
+    /// Listens on an address.
     ///
     /// # Errors
-    /// Those of the system; `AddrInUse` if another server listens there.
+    /// Errors of the system; `AddrInUse` if another server listens on this address.
     pub async fn bind(address: &ListenAddress) -> io::Result<Self> {
         match address {
             ListenAddress::Tcp(address) => Ok(Self::Tcp(TcpListener::bind(address).await?)),
@@ -84,10 +85,10 @@ impl Listener {
         }
     }
 
-    /// Returns the address that it listens on, with the port that the system assigned.
+    /// Returns the address of the listener, with the port that the system assigned.
     ///
     /// # Errors
-    /// Those of the system.
+    /// Errors of the system.
     pub fn address(&self) -> io::Result<ListenAddress> {
         match self {
             Self::Tcp(listener) => Ok(ListenAddress::Tcp(listener.local_addr()?)),
@@ -95,16 +96,16 @@ impl Listener {
         }
     }
 
-    /// Accepts the next connection and returns its peer; a Unix socket's is this machine.
+    /// Accepts the next connection, and returns the address of its peer. The peer of a Unix socket is this machine.
     pub(super) async fn accept(&self) -> io::Result<(Socket, IpAddr)> {
         match self {
             Self::Tcp(listener) => {
                 let (socket, peer) = listener.accept().await?;
-                // Else a small text frame would wait for the acknowledgement of the chunk before it.
+                // Otherwise Nagle's algorithm would delay a small text frame until the chunk before it is acknowledged.
                 if let Err(error) = socket.set_nodelay(true) {
                     tracing::debug!(%error, "no TCP_NODELAY");
                 }
-                // Data that the system holds unsent cannot be dropped any more when a newer edit supersedes it.
+                // Keeps the kernel's buffer small: the server cannot drop data there when a newer edit supersedes it.
                 #[cfg(target_os = "linux")]
                 if let Err(error) = socket2::SockRef::from(&socket).set_tcp_notsent_lowat(NOT_SENT_BYTES) {
                     tracing::debug!(%error, "no TCP_NOTSENT_LOWAT");
@@ -119,10 +120,10 @@ impl Listener {
     }
 }
 
-/// Maximum bytes of a socket's path: including the terminating zero, `sun_path` has 108 bytes, and 104 on systems other than Linux.
+/// Maximum bytes of the path of a Unix socket. `sun_path` has 108 bytes on Linux and 104 on other systems, including the terminating zero.
 const MAX_SOCKET_PATH: usize = if cfg!(target_os = "linux") { 107 } else { 103 };
 
-/// The file of a Unix socket. Dropping it removes the file, if it is still this server's.
+/// The file of a Unix socket. Dropping it removes the file, unless another server has replaced the file.
 #[derive(Debug)]
 pub struct SocketFile {
     path: PathBuf,
@@ -130,25 +131,25 @@ pub struct SocketFile {
 }
 
 impl SocketFile {
-    /// Makes the socket in a folder that no other user may enter, and moves it to its path once its mode is 0600: at no moment can another
-    /// user connect.
+    /// Creates the socket in a folder that no other user may enter, sets its mode to 0600, and then moves it to its path. So no other user
+    /// can ever connect.
     fn bind(path: &Path) -> io::Result<(UnixListener, Self)> {
         check_length(path)?;
-        make_way(path)?;
+        check_replaceable(path)?;
         let parent = path.parent().filter(|parent| *parent != Path::new(""));
         let parent = parent.unwrap_or(Path::new("."));
         let private = tempfile::Builder::new().prefix(".").rand_bytes(6).tempdir_in(parent)?;
-        let made = private.path().join("s");
-        let listener = UnixListener::bind(&made)?;
-        std::fs::set_permissions(&made, PermissionsExt::from_mode(0o600))?;
-        let inode = std::fs::metadata(&made)?.ino();
-        std::fs::rename(&made, path)?;
+        let draft = private.path().join("s");
+        let listener = UnixListener::bind(&draft)?;
+        std::fs::set_permissions(&draft, PermissionsExt::from_mode(0o600))?;
+        let inode = std::fs::metadata(&draft)?.ino();
+        std::fs::rename(&draft, path)?;
         let path = path.to_owned();
         Ok((listener, Self { path, inode }))
     }
 }
 
-/// Checks that clients can name a socket: the system does not accept longer paths.
+/// Checks the length of a path. Clients cannot connect to a socket with a longer path, although the rename would succeed.
 fn check_length(path: &Path) -> io::Result<()> {
     let length = path.as_os_str().len();
     if length <= MAX_SOCKET_PATH {
@@ -158,13 +159,13 @@ fn check_length(path: &Path) -> io::Result<()> {
     Err(io::Error::new(io::ErrorKind::InvalidInput, why))
 }
 
-/// Checks that a path is free, or has the socket of a server that has ended, which may be replaced.
-fn make_way(path: &Path) -> io::Result<()> {
-    let found = match path.symlink_metadata() {
+/// Checks that a path is free, or that its file is the socket of a server that has ended.
+fn check_replaceable(path: &Path) -> io::Result<()> {
+    let metadata = match path.symlink_metadata() {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
         other => other?,
     };
-    if !found.file_type().is_socket() {
+    if !metadata.file_type().is_socket() {
         let why = "there is a file that is no socket, expected none";
         return Err(io::Error::new(io::ErrorKind::AlreadyExists, why));
     }
@@ -177,7 +178,7 @@ fn make_way(path: &Path) -> io::Result<()> {
 
 impl Drop for SocketFile {
     fn drop(&mut self) {
-        let is_own = std::fs::symlink_metadata(&self.path).is_ok_and(|found| found.ino() == self.inode);
+        let is_own = std::fs::symlink_metadata(&self.path).is_ok_and(|metadata| metadata.ino() == self.inode);
         if is_own && let Err(error) = std::fs::remove_file(&self.path) {
             tracing::debug!(%error, "the socket's file stays");
         }
@@ -191,11 +192,12 @@ pub(super) enum Socket {
 }
 
 impl Socket {
-    /// Sends an answer and closes. Best effort, without waiting: if the peer has already sent data, it may miss the answer.
-    pub(super) fn refuse(self, answer: &[u8]) {
+    /// Sends a response without waiting, and closes the socket. Best effort: a peer that has already sent data may not receive the
+    /// response.
+    pub(super) fn refuse(self, response: &[u8]) {
         let _ = match self {
-            Self::Tcp(socket) => socket.into_std().and_then(|mut socket| socket.write(answer)),
-            Self::Unix(socket) => socket.into_std().and_then(|mut socket| socket.write(answer)),
+            Self::Tcp(socket) => socket.into_std().and_then(|mut socket| socket.write(response)),
+            Self::Unix(socket) => socket.into_std().and_then(|mut socket| socket.write(response)),
         };
     }
 }

@@ -1,5 +1,7 @@
-//! Rate limit for reading a stream, by the generic cell rate algorithm (GCRA). Clients send little, and complete messages are limited
-//! elsewhere. But a client can send the fragments of one message without end, and parsing them takes processor time from others.
+//! Rate limit for reads of a stream, by the generic cell rate algorithm (GCRA).
+//!
+//! The session limits complete messages. But a client can send fragments of one message without end, and parsing them takes processor time
+//! from other clients.
 
 use std::future::Future;
 use std::pin::Pin;
@@ -8,23 +10,23 @@ use std::time::Duration;
 
 use tokio::time::{Instant, Sleep, sleep_until};
 
-/// Bytes that are read in a second, sustained: sixteen times the longest message. Back-pressure of TCP slows down a client that sends more.
+/// Sustained rate of reads: sixteen messages of maximum length in a second. Back-pressure of TCP slows down a client that sends more.
 const BYTES_PER_SECOND: u32 = 1 << 20;
-/// Bytes that are read without a pause after a time with less traffic.
+/// Maximum number of bytes that are read without a pause after an idle time.
 const BURST_BYTES: u32 = 1 << 20;
 
-/// Decides when the next bytes may be read.
+/// Rate limiter of one connection.
 #[derive(Default)]
 pub(super) struct ReadPace {
-    /// Theoretical arrival time: when all bytes so far would have been read at [`BYTES_PER_SECOND`].
+    /// Theoretical arrival time (TAT) of GCRA: when reads at [`BYTES_PER_SECOND`] would have reached the current number of bytes.
     arrival: Option<Instant>,
     sleep: Option<Pin<Box<Sleep>>>,
 }
 
 impl ReadPace {
-    /// Ready when the next bytes may be read.
+    /// Returns `Ready` when the next read is allowed.
     pub(super) fn poll(&mut self, context: &mut Context<'_>) -> Poll<()> {
-        let Some(until) = self.held_until(Instant::now()) else {
+        let Some(until) = self.blocked_until(Instant::now()) else {
             self.sleep = None;
             return Poll::Ready(());
         };
@@ -40,8 +42,8 @@ impl ReadPace {
         self.arrival = Some(self.arrival.map_or(now, |arrival| arrival.max(now)) + time);
     }
 
-    /// Returns until when reads must wait; `None` if the next one is allowed now.
-    fn held_until(&self, now: Instant) -> Option<Instant> {
+    /// Returns the time of the next allowed read; `None` if a read is allowed now.
+    fn blocked_until(&self, now: Instant) -> Option<Instant> {
         let burst = Duration::from_secs_f64(f64::from(BURST_BYTES) / f64::from(BYTES_PER_SECOND));
         let until = self.arrival?.checked_sub(burst)?;
         (until > now).then_some(until)
@@ -56,21 +58,21 @@ mod tests {
     fn bytes_are_read_at_once_until_there_are_many() {
         let (mut pace, mut now) = (ReadPace::default(), Instant::now());
         let second = Duration::from_secs(1);
-        assert_eq!(pace.held_until(now), None);
+        assert_eq!(pace.blocked_until(now), None);
         pace.record_read(BURST_BYTES as usize, now);
-        assert_eq!(pace.held_until(now), None);
+        assert_eq!(pace.blocked_until(now), None);
         pace.record_read(BYTES_PER_SECOND as usize / 2, now);
-        assert_eq!(pace.held_until(now), Some(now + second / 2));
+        assert_eq!(pace.blocked_until(now), Some(now + second / 2));
         now += second / 2;
-        assert_eq!(pace.held_until(now), None);
+        assert_eq!(pace.blocked_until(now), None);
         pace.record_read(BYTES_PER_SECOND as usize / 4, now);
-        assert_eq!(pace.held_until(now), Some(now + second / 4));
+        assert_eq!(pace.blocked_until(now), Some(now + second / 4));
         // After a while as many are read at once again, and no more than that.
         now += 100 * second;
         pace.record_read(BURST_BYTES as usize, now);
-        assert_eq!(pace.held_until(now), None);
+        assert_eq!(pace.blocked_until(now), None);
         pace.record_read(BYTES_PER_SECOND as usize, now);
-        assert_eq!(pace.held_until(now), Some(now + second));
+        assert_eq!(pace.blocked_until(now), Some(now + second));
     }
 
     #[tokio::test]

@@ -1,4 +1,4 @@
-//! The server's own TLS: a certificate and its key from files, which can be reloaded while the server runs.
+//! TLS of the server. Certificate and key are files, which the server can reload while it runs.
 
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
@@ -18,40 +18,40 @@ pub struct Tls {
     config: RwLock<Arc<ServerConfig>>,
 }
 
-/// Why there is no TLS with these files.
+/// Why a certificate and key cannot be used.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum TlsError {
     /// A file cannot be read.
     #[error("cannot read {}", path.display())]
     Read {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// Why not.
+        /// Error of the system.
         source: io::Error,
     },
     /// A file has invalid content.
     #[error("{} has no {expected}: expected PEM, -----BEGIN …-----", path.display())]
     Malformed {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// The expected content.
+        /// Kind of PEM section that the file must have.
         expected: &'static str,
     },
-    /// The key is of another certificate, or of a kind that is not known.
+    /// The key does not match the certificate, or its kind is unknown.
     #[error("{} and {} are not used for TLS", certificate.display(), key.display())]
     Refused {
-        /// The file of the certificate.
+        /// Path of the certificate.
         certificate: PathBuf,
-        /// That of the key.
+        /// Path of the key.
         key: PathBuf,
-        /// Why not.
+        /// Why rustls refuses them.
         source: rustls::Error,
     },
 }
 
 impl Tls {
-    /// Reads a certificate, followed by the intermediate ones up to its root, and its key.
+    /// Reads a certificate and its key. The file of the certificate may continue with the intermediate certificates up to the root.
     ///
     /// # Errors
     /// [`TlsError`].
@@ -63,24 +63,24 @@ impl Tls {
         })
     }
 
-    /// Reloads the files, for new connections.
+    /// Reloads both files. Only new connections use the new certificate.
     ///
     /// # Errors
-    /// [`TlsError`]; the previous certificate stays in use.
+    /// [`TlsError`]. The previous certificate stays in use.
     pub fn reload(&self) -> Result<(), TlsError> {
         let config = Arc::new(read(&self.certificate, &self.key)?);
         *self.config.write().unwrap_or_else(PoisonError::into_inner) = config;
         Ok(())
     }
 
-    /// Returns an acceptor with the certificate that was loaded last.
+    /// Returns an acceptor with the current certificate.
     pub(super) fn acceptor(&self) -> TlsAcceptor {
         let config = self.config.read().unwrap_or_else(PoisonError::into_inner);
         Arc::clone(&config).into()
     }
 }
 
-/// Maximum bytes of a file of certificates or a key.
+/// Maximum bytes of a certificate or key file. Real ones have some kilobytes; the limit catches a wrong path.
 const MAX_FILE_BYTES: u64 = 1 << 20;
 
 fn read_file(path: &Path) -> io::Result<Vec<u8>> {
@@ -97,7 +97,7 @@ fn read_file(path: &Path) -> io::Result<Vec<u8>> {
 }
 
 fn read(certificate: &Path, key: &Path) -> Result<ServerConfig, TlsError> {
-    let text = |path: &Path| {
+    let read_pem = |path: &Path| {
         read_file(path).map_err(|source| TlsError::Read {
             path: path.to_owned(),
             source,
@@ -107,10 +107,10 @@ fn read(certificate: &Path, key: &Path) -> Result<ServerConfig, TlsError> {
         path: path.to_owned(),
         expected,
     };
-    let chain: Result<Vec<_>, _> = CertificateDer::pem_slice_iter(&text(certificate)?).collect();
+    let chain: Result<Vec<_>, _> = CertificateDer::pem_slice_iter(&read_pem(certificate)?).collect();
     let chain = chain.ok().filter(|chain| !chain.is_empty());
     let chain = chain.ok_or_else(|| malformed(certificate, "certificate"))?;
-    let private = PrivateKeyDer::from_pem_slice(&text(key)?).map_err(|_| malformed(key, "private key"))?;
+    let private_key = PrivateKeyDer::from_pem_slice(&read_pem(key)?).map_err(|_| malformed(key, "private key"))?;
     let refuse = |source| TlsError::Refused {
         certificate: certificate.to_owned(),
         key: key.to_owned(),
@@ -119,20 +119,20 @@ fn read(certificate: &Path, key: &Path) -> Result<ServerConfig, TlsError> {
     let provider = Arc::new(rustls::crypto::ring::default_provider());
     let mut config = ServerConfig::builder_with_provider(provider)
         .with_safe_default_protocol_versions()
-        .and_then(|versions| versions.with_no_client_auth().with_single_cert(chain, private))
+        .and_then(|versions| versions.with_no_client_auth().with_single_cert(chain, private_key))
         .map_err(refuse)?;
-    // The only protocol that the listener speaks.
+    // The server supports HTTP/1.1 alone.
     config.alpn_protocols = vec![b"http/1.1".to_vec()];
     Ok(config)
 }
 
-/// The files of a new certificate for `localhost`, and of its key.
+/// Creates a self-signed certificate for `localhost` and its key, and returns the paths of both files.
 #[cfg(test)]
 pub(super) fn made_in(folder: &Path, name: &str) -> (PathBuf, PathBuf) {
-    let made = rcgen::generate_simple_self_signed(["localhost".to_owned()]).expect("a certificate");
+    let generated = rcgen::generate_simple_self_signed(["localhost".to_owned()]).expect("a certificate");
     let [certificate, key] = ["crt", "key"].map(|extension| folder.join(name).with_extension(extension));
-    std::fs::write(&certificate, made.cert.pem()).expect("written");
-    std::fs::write(&key, made.signing_key.serialize_pem()).expect("written");
+    std::fs::write(&certificate, generated.cert.pem()).expect("written");
+    std::fs::write(&key, generated.signing_key.serialize_pem()).expect("written");
     (certificate, key)
 }
 

@@ -1,5 +1,4 @@
-//! The bytes of an upload: those of its files one after the other, as they were declared, so that one offset tells a client where to
-//! continue.
+//! The bytes of an upload: the bytes of all files in the order of their declaration. So a single offset tells a client where to resume.
 
 use std::fs::{File, OpenOptions};
 use std::io;
@@ -9,20 +8,20 @@ use std::sync::Arc;
 
 use super::names::DeclaredFile;
 
-/// Files below a folder.
+/// The declared files of an upload, below a folder. Files are numbered from 0 in the order of their declaration.
 #[derive(Clone, Debug)]
 pub(super) struct Contents {
     folder: PathBuf,
     files: Arc<[DeclaredFile]>,
-    /// Offset of each file's first byte.
+    /// Offset of the first byte of each file in the upload.
     starts: Arc<[u64]>,
 }
 
 impl Contents {
     pub(super) fn new(folder: PathBuf, files: Vec<DeclaredFile>) -> Self {
-        let starts = files.iter().scan(0, |at, file| {
-            let start = *at;
-            *at += file.bytes;
+        let starts = files.iter().scan(0, |end, file| {
+            let start = *end;
+            *end += file.bytes;
             Some(start)
         });
         Self {
@@ -44,55 +43,56 @@ impl Contents {
         self.folder.join(&self.files[file].name)
     }
 
-    /// Returns the file that contains an offset: the first incomplete file once `offset` bytes have arrived.
+    /// Returns the number of the file that contains an offset. This file is incomplete while the upload has `offset` bytes.
     pub(super) fn file_at(&self, offset: u64) -> usize {
-        // Empty files share their start with the one behind them.
+        // An empty file starts at the same offset as its successor. The last file with this start contains the offset.
         self.starts.partition_point(|&start| start <= offset).saturating_sub(1)
     }
 
-    /// Counts the bytes before the first gap, from the files that an earlier process has left. Removes files behind the gap.
+    /// Returns the number of bytes before the first gap in the files that an earlier process has left. Removes the files behind the gap.
     pub(super) fn settle(&self) -> io::Result<u64> {
-        let (mut there, mut has_gap) = (0, false);
-        for (at, file) in self.files.iter().enumerate() {
-            let path = self.path(at);
+        let (mut received, mut has_gap) = (0, false);
+        for (i, file) in self.files.iter().enumerate() {
+            let path = self.path(i);
             let length = match std::fs::metadata(&path) {
-                Ok(found) => found.len().min(file.bytes),
+                Ok(metadata) => metadata.len().min(file.bytes),
                 Err(error) if error.kind() == io::ErrorKind::NotFound => 0,
                 Err(error) => return Err(error),
             };
             if has_gap && length > 0 {
                 std::fs::remove_file(&path)?;
             } else {
-                there += length;
+                received += length;
                 has_gap |= length < file.bytes;
             }
         }
-        Ok(there)
+        Ok(received)
     }
 
-    /// Writes bytes at an offset of the upload. Returns how many were written, and the error that stopped it, if there was one.
+    /// Writes bytes at an offset of the upload. Returns the number of bytes that were written, and the first error.
     pub(super) fn write(&self, mut offset: u64, mut bytes: &[u8]) -> (usize, io::Result<()>) {
-        let before = bytes.len();
+        let length = bytes.len();
         while !bytes.is_empty() {
-            let at = self.file_at(offset);
-            let inside = offset - self.starts[at];
-            let left = usize::try_from(self.files[at].bytes - inside).unwrap_or(usize::MAX);
+            let file = self.file_at(offset);
+            let offset_in_file = offset - self.starts[file];
+            let left = usize::try_from(self.files[file].bytes - offset_in_file).unwrap_or(usize::MAX);
             let (piece, rest) = bytes.split_at(left.min(bytes.len()));
             let mut written = 0;
             let result = self
-                .open(at)
-                .and_then(|file| write_all(&file, piece, inside, &mut written));
+                .open(file)
+                .and_then(|file| write_all(&file, piece, offset_in_file, &mut written));
             offset += written as u64;
             if let Err(error) = result {
-                return (before - bytes.len() + written, Err(error));
+                return (length - bytes.len() + written, Err(error));
             }
             bytes = rest;
         }
-        (before, Ok(()))
+        (length, Ok(()))
     }
 
-    fn open(&self, at: usize) -> io::Result<File> {
-        let path = self.path(at);
+    /// Opens a file for writing. Creates the file and its folders if they do not exist.
+    fn open(&self, file: usize) -> io::Result<File> {
+        let path = self.path(file);
         let mut options = OpenOptions::new();
         options.create(true).truncate(false).write(true);
         match options.open(&path) {
@@ -106,23 +106,24 @@ impl Contents {
         }
     }
 
-    /// Completes an upload of which all bytes have arrived: creates its empty files and flushes everything to the disk.
+    /// Completes an upload that has received all of its bytes. Creates the empty files, and flushes all files to the disk.
     pub(super) fn seal(&self) -> io::Result<()> {
-        for (at, _) in self.files.iter().enumerate().filter(|(_, file)| file.bytes == 0) {
-            self.open(at)?;
+        for (file, _) in self.files.iter().enumerate().filter(|(_, file)| file.bytes == 0) {
+            self.open(file)?;
         }
-        // One call flushes all files, of which there may be thousands.
+        // One call flushes all files. An upload may have thousands.
         #[cfg(target_os = "linux")]
         rustix::fs::syncfs(File::open(&self.folder)?)?;
         #[cfg(not(target_os = "linux"))]
-        for at in 0..self.files.len() {
-            File::open(self.path(at))?.sync_all()?;
+        for file in 0..self.files.len() {
+            File::open(self.path(file))?.sync_all()?;
         }
         Ok(())
     }
 }
 
-/// As [`FileExt::write_all_at`], and counts what was written before an error.
+/// Writes all bytes at an offset of a file. Unlike [`FileExt::write_all_at`], adds the bytes that were written before an error to
+/// `written`.
 fn write_all(file: &File, mut bytes: &[u8], mut offset: u64, written: &mut usize) -> io::Result<()> {
     while !bytes.is_empty() {
         match file.write_at(bytes, offset) {

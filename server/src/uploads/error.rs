@@ -1,4 +1,4 @@
-//! Why an upload is refused, or is not there.
+//! Errors of requests about uploads.
 
 use std::io;
 
@@ -7,14 +7,14 @@ use isopeel_volumes::ReadError;
 use super::MAX_UPLOADS;
 use super::names::NameError;
 
-/// Why a request about uploads fails. Each variant calls for a different reaction of the caller.
+/// Why a request about uploads fails. Each variant needs a different response of the caller.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum UploadError {
     /// The user has no such upload.
     #[error("no upload has the id {0:?}, /api/v1/uploads lists those there are")]
     Unknown(String),
-    /// The declared files cannot be taken.
+    /// The declared files are invalid.
     #[error(transparent)]
     Files(#[from] NameError),
     /// The key is too long, or not ASCII.
@@ -25,23 +25,23 @@ pub enum UploadError {
         "the idempotency key was used for other files, which are upload {upload}: expected a new key, or the same files"
     )]
     KeyReused {
-        /// The upload that it made.
+        /// Id of the upload that the first request with this key created.
         upload: String,
     },
-    /// The user has too many.
-    #[error("there are {MAX_UPLOADS} uploads of yours, the most there may be: delete some")]
+    /// The user has too many uploads.
+    #[error("you have {MAX_UPLOADS} uploads, the maximum: delete some")]
     TooMany,
-    /// The files are more than the user may have.
+    /// The declared files exceed the rest of the user's quota.
     #[error(
         "{wanted} bytes, but {used} of your {quota} bytes are taken: expected at most {}, delete uploads that are not needed",
         quota.saturating_sub(*used)
     )]
     OverQuota {
-        /// Of the files.
+        /// Bytes of the declared files.
         wanted: u64,
-        /// Of the user's other uploads: as declared, or as unpacked if that is more.
+        /// Bytes of the user's other uploads: of the declared files, or of their unpacked contents if these are larger.
         used: u64,
-        /// The user's quota, bytes.
+        /// Quota of the user in bytes.
         quota: u64,
     },
     /// The contents of a compressed file exceed the user's quota.
@@ -50,77 +50,77 @@ pub enum UploadError {
          Delete uploads that are not needed"
     )]
     UnpacksOverQuota {
-        /// Which.
+        /// Name of the file.
         file: String,
-        /// Of the user's uploads, this one too.
+        /// Bytes of the user's uploads, including this one.
         used: u64,
-        /// The user's quota, bytes.
+        /// Quota of the user in bytes.
         quota: u64,
     },
-    /// The disk has not enough space, or it is full.
-    #[error("the server's disk has no space for {0} bytes more: try again when others have deleted something")]
+    /// The disk has no space for this number of bytes.
+    #[error("the server's disk has no space for {0} bytes more: try again after uploads were deleted")]
     DiskFull(u64),
     /// The offset is not the number of bytes that the upload has.
-    #[error("Upload-Offset is {found}, expected {expected}: so many bytes are there")]
+    #[error("Upload-Offset is {found}, expected {expected}, the number of bytes that were received")]
     WrongOffset {
-        /// The offset that was requested.
+        /// Offset in the request.
         found: u64,
-        /// The offset at which it continues.
+        /// Offset at which the upload continues.
         expected: u64,
     },
-    /// More bytes than were declared.
-    #[error("the body passes the end of what was declared, expected at most {left} bytes")]
+    /// The body has more bytes than the declared files.
+    #[error("the body has more bytes than the declared files, expected at most {left}")]
     TooLong {
-        /// Bytes that are missing.
+        /// Bytes that the upload has not received yet.
         left: u64,
     },
-    /// The body was shorter than announced; the bytes that arrived are kept.
-    #[error("the body ended too early: {kept} bytes of the upload are there, go on with them")]
+    /// The body is shorter than its declared length. The bytes that have arrived are kept.
+    #[error("the body ended too early: {kept} bytes of the upload were received, continue there")]
     Interrupted {
-        /// Bytes that are there.
+        /// Bytes that the upload has received.
         kept: u64,
     },
-    /// Another request took its place.
-    #[error("another request for this upload has taken the place of this one: {kept} bytes are there")]
+    /// Another request has taken over the upload.
+    #[error("another request has taken over this upload: {kept} bytes were received")]
     TakenOver {
-        /// Bytes that are there.
+        /// Bytes that the upload has received.
         kept: u64,
     },
-    /// All slots are taken by other requests.
-    #[error("as many uploads are being received as may be at a time, try again in a few seconds")]
+    /// Other requests occupy all slots.
+    #[error("too many uploads are being received, try again in a few seconds")]
     Busy,
-    /// Another request is at work on the upload.
-    #[error("another request is at work on this upload, try again in a few seconds")]
+    /// Another request writes to the upload or reads it.
+    #[error("another request uses this upload, try again in a few seconds")]
     Locked,
-    /// It is a volume already.
+    /// The upload is already complete and served as volumes.
     #[error("the upload {0} is finished: nothing can be added to it")]
     Finished(String),
-    /// Bytes are missing.
+    /// The upload has not received all of its bytes.
     #[error("{received} of {total} bytes are there, expected all of them: {file:?} is not whole")]
     Incomplete {
-        /// Bytes that are there.
+        /// Bytes that the upload has received.
         received: u64,
-        /// Bytes that were declared.
+        /// Bytes of the declared files.
         total: u64,
-        /// The first file that is not whole.
+        /// Name of the first incomplete file.
         file: String,
     },
-    /// The files cannot be read.
+    /// The files cannot be read as volumes.
     #[error("{0}")]
     Unreadable(String),
-    /// The disk has no space to read them.
+    /// The disk has no space for unpacked files.
     #[error("{0}")]
     NoSpace(String),
-    /// The server cannot read or write its files.
-    #[error("uploads cannot be kept")]
+    /// The server cannot read or write the folder of uploads.
+    #[error("the folder of uploads cannot be read or written")]
     Io(#[from] io::Error),
-    /// A task failed.
+    /// A blocking task panicked.
     #[error("reading an upload failed")]
     Panicked(#[from] tokio::task::JoinError),
 }
 
 impl UploadError {
-    /// Converts an error of writing `bytes` bytes.
+    /// Converts an error of a write of `bytes` bytes.
     pub(super) fn of_write(error: io::Error, bytes: u64) -> Self {
         if isopeel_volumes::disk::is_full(&error) || error.kind() == io::ErrorKind::FileTooLarge {
             Self::DiskFull(bytes)
@@ -129,7 +129,7 @@ impl UploadError {
         }
     }
 
-    /// Converts an error of reading the files. The text leaves out the server's folder.
+    /// Converts an error of reading the files. Removes the path of the server's `folder` from the message.
     pub(super) fn of_read(error: &ReadError, folder: &str) -> Self {
         let text = error.without_folder().replace(&format!("{folder}/"), "");
         if error.is_of_space() {

@@ -1,5 +1,7 @@
-//! Uploads on the disk: a folder for each, with a record of what was declared and the files below `files`. A folder has its record before
-//! it has its name, and loses its name before it loses its files, so that a process may end at any time.
+//! Uploads on the disk. Each upload has a folder with a record of its declaration, and with its files below `files`.
+//!
+//! A new folder has a temporary name until its record is complete, and a folder gets a temporary name before its files are removed. So the
+//! process may end at any time: the next process removes folders with temporary names.
 
 use std::fs::{File, OpenOptions, TryLockError};
 use std::io::{self, Write};
@@ -11,61 +13,61 @@ use serde::{Deserialize, Serialize};
 use super::names::DeclaredFile;
 use crate::private_folder::{self, FolderAccess, FolderAccessError};
 
-/// Lock file, held by the server that uses the folder.
+/// Name of the lock file. The server that uses the folder holds the lock.
 const LOCK: &str = "lock";
 const RECORD: &str = "upload.json";
-/// The folder of an upload's files.
+/// Name of the folder with the files of an upload, below the folder of the upload.
 pub(super) const FILES: &str = "files";
-/// Begins the names of folders that are made or removed.
-const ASIDE: char = '.';
+/// Prefix of the temporary names of folders that are being created or removed.
+const TEMPORARY: char = '.';
 
-/// Why the folder cannot be used.
+/// Why a folder cannot be used for uploads.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum FolderError {
-    /// It cannot be made, opened or locked.
+    /// The folder cannot be created, opened or locked.
     #[error("folder of uploads {}", path.display())]
     Io {
-        /// The folder.
+        /// Path of the folder.
         path: PathBuf,
-        /// Why not.
+        /// Error of the system.
         source: io::Error,
     },
-    /// Others may use it, or it cannot be made.
+    /// Other users can access the folder, or it cannot be created.
     #[error("folder of uploads")]
     Access(#[from] FolderAccessError),
-    /// It is below a folder that is served, all of whose users would see the uploads.
+    /// The folder is below a served folder, so that all users would see the uploads.
     #[error("folder of uploads {} is below {}, which is served to all: expected a folder beside it", path.display(), served.display())]
     Served {
-        /// The folder.
+        /// Path of the folder.
         path: PathBuf,
-        /// The folder that is served.
+        /// Path of the served folder.
         served: PathBuf,
     },
-    /// Another server uses it.
+    /// Another server uses the folder.
     #[error("folder of uploads {} is used by another server, expected one of its own", path.display())]
     InUse {
-        /// The folder.
+        /// Path of the folder.
         path: PathBuf,
     },
 }
 
-/// Record of an upload: all that is stored of it beside its bytes.
+/// What the server stores about an upload, apart from the files. Serialised as JSON.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct Record {
     pub owner: String,
-    /// Of the request that made it.
+    /// Idempotency key of the request that created the upload.
     pub key: Option<String>,
     pub created: SystemTime,
     pub files: Vec<DeclaredFile>,
-    /// Bytes by which the contents of its compressed files exceed these files; 0 before it was read.
+    /// Number of bytes by which the unpacked contents of compressed files exceed the files; 0 until the upload was read.
     #[serde(default)]
     pub unpacked: u64,
-    /// It was read as a volume.
+    /// Whether the upload was read as volumes.
     pub is_ready: bool,
 }
 
-/// A locked folder. Dropping it unlocks it, and so does the end of the process, however it ends.
+/// A locked folder. The lock ends when this value is dropped or the process ends, even by a crash.
 #[derive(Debug)]
 pub struct UploadFolder {
     path: PathBuf,
@@ -73,7 +75,7 @@ pub struct UploadFolder {
 }
 
 impl UploadFolder {
-    /// Opens and locks a folder, made for this user alone if there is none.
+    /// Opens and locks a folder. If the folder does not exist, creates it with access for this user alone.
     ///
     /// # Errors
     /// [`FolderError`].
@@ -90,12 +92,12 @@ impl UploadFolder {
         }
     }
 
-    /// Checks that it is in none of the folders that are served to all.
+    /// Checks that the folder is not below any of the folders that are served to all users.
     ///
     /// # Errors
     /// [`FolderError::Served`].
     pub fn is_beside(&self, served: &[PathBuf]) -> Result<(), FolderError> {
-        // Paths that do not exist are skipped: addresses, and folders that appear later.
+        // Skips paths that do not exist: URLs, and folders that may be created later.
         let folders = served.iter().filter_map(|path| path.canonicalize().ok());
         match folders.into_iter().find(|folder| self.path.starts_with(folder)) {
             Some(served) => Err(FolderError::Served {
@@ -106,49 +108,50 @@ impl UploadFolder {
         }
     }
 
-    /// Bytes that are free on its disk.
+    /// Returns the free bytes on the disk of the folder.
     pub(super) fn free_bytes(&self) -> io::Result<u64> {
         isopeel_volumes::disk::free_bytes(&self.path)
     }
 
-    /// Makes the folder of an upload.
+    /// Creates the folder of an upload, and returns its path.
     pub(super) fn make(&self, id: &str, record: &Record) -> io::Result<PathBuf> {
-        let (aside, path) = (self.path.join(format!("{ASIDE}{id}")), self.path.join(id));
-        private_folder::make(&aside.join(FILES))?;
-        write_record(&aside, record)?;
-        std::fs::rename(&aside, &path)?;
+        let (temporary, path) = (self.path.join(format!("{TEMPORARY}{id}")), self.path.join(id));
+        private_folder::make(&temporary.join(FILES))?;
+        write_record(&temporary, record)?;
+        std::fs::rename(&temporary, &path)?;
         File::open(&self.path)?.sync_all()?;
         Ok(path)
     }
 
-    /// Renames the folder of an upload, so that the upload is gone even if the process ends now. Returns the new path, which is to be
-    /// removed.
+    /// Gives the folder of an upload a temporary name, so that the upload does not exist any more even if the process ends now. Returns the
+    /// new path. The caller removes this folder.
     pub(super) fn rename_for_removal(&self, id: &str) -> io::Result<PathBuf> {
-        let aside = self.path.join(format!("{ASIDE}{id}"));
-        std::fs::rename(self.path.join(id), &aside)?;
-        Ok(aside)
+        let temporary = self.path.join(format!("{TEMPORARY}{id}"));
+        std::fs::rename(self.path.join(id), &temporary)?;
+        Ok(temporary)
     }
 
-    /// Returns the uploads on the disk, with their records. Removes folders that an earlier process was creating or removing.
+    /// Returns the id, folder and record of each upload, in the order of their creation. Removes folders that an earlier process was
+    /// creating or removing.
     pub(super) fn list(&self) -> io::Result<Vec<(String, PathBuf, Record)>> {
-        let mut found = Vec::new();
+        let mut uploads = Vec::new();
         for entry in std::fs::read_dir(&self.path)? {
             let entry = entry?;
             let name = entry.file_name().to_string_lossy().into_owned();
             if !entry.file_type()?.is_dir() {
                 continue;
             }
-            if name.starts_with(ASIDE) {
+            if name.starts_with(TEMPORARY) {
                 std::fs::remove_dir_all(entry.path())?;
                 continue;
             }
             match read_record(&entry.path()) {
-                Ok(record) => found.push((name, entry.path(), record)),
+                Ok(record) => uploads.push((name, entry.path(), record)),
                 Err(error) => tracing::warn!(upload = name, %error, "passed over: no upload, expected {RECORD} in it"),
             }
         }
-        found.sort_by_key(|(_, _, record)| record.created);
-        Ok(found)
+        uploads.sort_by_key(|(_, _, record)| record.created);
+        Ok(uploads)
     }
 }
 
@@ -166,12 +169,12 @@ fn read_record(folder: &Path) -> io::Result<Record> {
     Ok(serde_json::from_slice(&std::fs::read(folder.join(RECORD))?)?)
 }
 
-/// Returns when an upload was used last: the modification time of its record.
+/// Returns the time of the last use of an upload. It is stored as the modification time of the record.
 pub(super) fn read_last_use(folder: &Path) -> io::Result<SystemTime> {
     std::fs::metadata(folder.join(RECORD))?.modified()
 }
 
-/// Stores the time at which an upload was used last.
+/// Stores the time of the last use of an upload.
 pub(super) fn write_last_use(folder: &Path, when: SystemTime) -> io::Result<()> {
     OpenOptions::new()
         .write(true)
@@ -179,7 +182,7 @@ pub(super) fn write_last_use(folder: &Path, when: SystemTime) -> io::Result<()> 
         .set_modified(when)
 }
 
-/// The folder of an upload's files.
+/// Returns the folder with the files of an upload.
 pub(super) fn files_of(folder: &Path) -> PathBuf {
     folder.join(FILES)
 }

@@ -1,8 +1,8 @@
-//! Volumes that users upload. Files are sent in parts, over connections that may be lost and to servers that may restart. They are then
-//! served like the volumes of a path, but to their owner alone, until they are deleted or have not been used for some time.
+//! Volumes that users upload. A client sends files in parts, and can resume after a lost connection or a restart of the server. The server
+//! then serves the volumes to their owner alone, until the owner deletes them or has not used them for some time.
 //!
-//! - `names`: what files may be called; `contents`: their bytes, one after the other.
-//! - `folder`: their folders on the disk, and the records that survive a restart.
+//! - `names`: checks the names of files; `contents`: the bytes of an upload, in its files.
+//! - `folder`: the folders on the disk, and the records that survive a restart.
 //! - `upload`: one upload, and the request that writes to it; `receive`: receives parts; `finish`: reads complete uploads as volumes.
 //! - `state`, `error`: uploads and errors as clients see them.
 
@@ -35,34 +35,35 @@ use slots::Slots;
 pub use state::{UploadInfo, UploadList, UploadRequest, UploadState};
 use upload::Upload;
 
-/// Maximum bytes of a request that declares files: 20,000 names of 200 bytes.
+/// Maximum bytes of a request that declares files. Enough for 20,000 names of 200 bytes.
 pub const MAX_REQUEST_BYTES: usize = 4 << 20;
-/// Maximum uploads of a user. Each adds to the list of volumes that the user sees.
+/// Maximum number of uploads of a user. The user's list of volumes contains all of them.
 pub const MAX_UPLOADS: usize = 100;
-/// Bytes of the disk that uploads leave free for other data.
+/// Bytes on the disk that uploads must leave free.
 const RESERVE_BYTES: u64 = 1 << 30;
-/// Maximum uploads that are read as volumes at the same time, at most one for each user: each may have headers of thousands of files.
+/// Maximum number of uploads that are read as volumes at the same time, one for each user. Few, because the headers of thousands of files
+/// may have to be read.
 const MAX_FINISHES: usize = 2;
-/// Random bytes of an id: enough that an id cannot be guessed.
+/// Random bytes of an id. 128 bits, so that no user can guess the id of another user's upload.
 const ID_BYTES: usize = 16;
 /// Maximum interval between two checks for expired uploads.
 const MAX_EXPIRY_INTERVAL: Duration = Duration::from_secs(60);
 
-/// Maximum time between the expiry of an upload and its removal. A clock that was set wrongly may be corrected within this time, so that
-/// the upload is kept.
+/// Maximum time between the expiry of an upload and its removal. If the wall clock is wrong, it may be corrected within this time, before
+/// uploads are lost.
 const MAX_GRACE_PERIOD: Duration = Duration::from_secs(3600);
 
-/// When each overdue upload was first found to be expired, by its id.
+/// For each overdue upload, by its id, the time at which its expiry was first noticed.
 type Overdue = HashMap<String, Instant>;
 
 /// Limits on the size and the age of uploads.
 #[derive(Clone, Copy, Debug)]
 pub struct Limits {
-    /// Bytes of a user's uploads: as they were declared, or the contents of files that are compressed as a whole, if these are larger.
+    /// Maximum bytes of a user's uploads. The unpacked contents of a compressed file count, if they are larger than the file.
     pub quota_bytes: u64,
-    /// Time without use after which volumes are removed.
+    /// Finished uploads are removed after this time without use.
     pub keep: Duration,
-    /// Time without a byte after which unfinished uploads are removed.
+    /// Unfinished uploads are removed after this time without a received byte.
     pub keep_unfinished: Duration,
 }
 
@@ -77,7 +78,7 @@ struct Shared {
     catalog: SharedCatalog,
     /// Uploads by their ids.
     uploads: Mutex<HashMap<String, Arc<Upload>>>,
-    /// Held while an upload is created, so that concurrent declarations all count in the quota.
+    /// Held while an upload is checked against the quota and stored, so that concurrent requests cannot exceed the quota together.
     creating: Mutex<()>,
     /// Slots for parts that are being received.
     parts: Slots,
@@ -86,12 +87,12 @@ struct Shared {
 }
 
 impl Uploads {
-    /// Opens the uploads of a folder, and adds the volumes of finished ones to the catalog. Reads the headers of their files.
+    /// Opens the uploads of a folder. Adds the volumes of finished uploads to the catalog, and reads the headers of their files for that.
     ///
     /// # Errors
     /// The folder cannot be read.
     pub fn open(folder: UploadFolder, limits: Limits, frame: Frame, catalog: SharedCatalog) -> std::io::Result<Self> {
-        let found = folder.list()?;
+        let stored = folder.list()?;
         let uploads = Self(Arc::new(Shared {
             folder,
             limits,
@@ -102,13 +103,13 @@ impl Uploads {
             parts: Slots::new(receive::MAX_PARTS, receive::MAX_PARTS_OF_USER),
             finishes: Slots::new(MAX_FINISHES, 1),
         }));
-        for (id, path, record) in found {
+        for (id, path, record) in stored {
             let (is_ready, used) = (record.is_ready, read_last_use(&path)?);
             let upload = Arc::new(Upload::new(id.clone(), path, record, 0, used));
             let received = upload.contents.settle()?;
             upload.status().received = received;
             if is_ready {
-                uploads.offer_again(&upload);
+                uploads.restore_volumes(&upload);
             }
             uploads.all().insert(id, upload);
         }
@@ -127,9 +128,9 @@ impl Uploads {
         }
     }
 
-    /// Removes uploads that have been overdue for their grace period. `now` is wall-clock time, with which expiries are compared; `at`
-    /// is monotonic time, by which the grace period is measured, because the wall clock may be set.
-    async fn expire(&self, overdue: &mut Overdue, now: SystemTime, at: Instant) {
+    /// Removes uploads that have been overdue for longer than their grace period. Expiry is a time of the wall clock, `now`. The grace
+    /// period is measured by the monotonic clock, `instant`, because the wall clock may be set.
+    async fn expire(&self, overdue: &mut Overdue, now: SystemTime, instant: Instant) {
         let all: Vec<Arc<Upload>> = self.all().values().cloned().collect();
         overdue.retain(|id, _| all.iter().any(|upload| upload.id == *id));
         for upload in all {
@@ -138,8 +139,8 @@ impl Uploads {
                 overdue.remove(&upload.id);
                 continue;
             }
-            let since = *overdue.entry(upload.id.clone()).or_insert(at);
-            if at.saturating_duration_since(since) >= self.grace_period(&upload) {
+            let since = *overdue.entry(upload.id.clone()).or_insert(instant);
+            if instant.saturating_duration_since(since) >= self.grace_period(&upload) {
                 tracing::info!(upload = upload.id, "an upload has expired");
                 if let Err(error) = self.remove(&upload).await {
                     tracing::error!(
@@ -152,7 +153,7 @@ impl Uploads {
         }
     }
 
-    /// Stores when the volumes of an upload were used last, in memory and on the disk.
+    /// Stores the time of the last use of an upload's volumes, in memory and on the disk.
     fn record_last_use(&self, upload: &Upload) {
         let private = self.0.catalog.private();
         let mut status = upload.status();
@@ -180,9 +181,9 @@ impl Uploads {
     fn expiry(&self, upload: &Upload) -> SystemTime {
         let status = upload.status();
         let keep = self.retention(status.state);
-        // If the sum overflows, 100 years take its place: in effect for ever.
-        let for_ever = status.used + Duration::from_secs(100 * 365 * 86_400);
-        status.used.checked_add(keep).unwrap_or(for_ever)
+        // 100 years, in case the sum overflows.
+        let latest = status.used + Duration::from_secs(100 * 365 * 86_400);
+        status.used.checked_add(keep).unwrap_or(latest)
     }
 
     /// Locks the map of uploads.
@@ -192,13 +193,13 @@ impl Uploads {
 
     /// Returns an upload that this user may see.
     fn find(&self, who: Reader<'_>, id: &str) -> Result<Arc<Upload>, UploadError> {
-        let found = self.all().get(id).cloned();
-        let seen = found.filter(|upload| who.sees(&upload.owner));
-        seen.ok_or_else(|| UploadError::Unknown(id.to_owned()))
+        let upload = self.all().get(id).cloned();
+        let visible = upload.filter(|upload| who.sees(&upload.owner));
+        visible.ok_or_else(|| UploadError::Unknown(id.to_owned()))
     }
 
-    /// Creates an upload, and returns it with `true`. If a request with this key and the same files has created one before, returns that
-    /// upload with `false`. Stores nothing if a limit is exceeded.
+    /// Creates an upload. Returns the upload, and whether it is new. If a request with the same key and the same files has created an
+    /// upload before, returns that upload.
     ///
     /// # Errors
     /// The files are invalid, or exceed a limit.
@@ -213,11 +214,11 @@ impl Uploads {
             return Err(UploadError::BadKey(key.len()));
         }
         let (uploads, owner) = (self.clone(), who.user().to_owned());
-        // On a blocking thread, because the disk may be slow.
         tokio::task::spawn_blocking(move || uploads.create_blocking(owner, key, request, total)).await?
     }
 
-    /// As [`Uploads::create`], with checked arguments. `total`: the declared bytes of all files. Blocks on the disk.
+    /// Does the work of [`Uploads::create`] after the arguments were checked. `total` is the declared bytes of all files. Blocks on the
+    /// disk.
     fn create_blocking(
         &self,
         owner: String,
@@ -256,8 +257,8 @@ impl Uploads {
         Ok((self.info(&upload), true))
     }
 
-    /// Checks whether `total` further bytes fit in the quota of a user, whose uploads are `own`, and on the disk. Bytes of `all` uploads that
-    /// have not arrived yet count as occupied.
+    /// Checks whether an upload of `total` bytes fits in the quota of its user and on the disk. `own` are the other uploads of the user.
+    /// Bytes that `all` uploads have not received yet count as occupied.
     fn check_space(&self, all: &[Arc<Upload>], own: &[&Arc<Upload>], total: u64) -> Result<(), UploadError> {
         let (used, quota) = (quota_bytes_of(own), self.0.limits.quota_bytes);
         if total > quota.saturating_sub(used) {
@@ -275,26 +276,26 @@ impl Uploads {
         Ok(())
     }
 
-    /// Returns the uploads that a user may see, the latest first, and the rest of the user's own quota.
+    /// Returns the uploads that a user may see, the latest first, and the user's quota.
     pub fn list(&self, who: Reader<'_>) -> UploadList {
         let all: Vec<Arc<Upload>> = self.all().values().cloned().collect();
         let own: Vec<_> = all.iter().filter(|upload| upload.owner == who.user()).collect();
         let used_bytes = quota_bytes_of(&own);
-        let mut seen: Vec<_> = all.into_iter().filter(|upload| who.sees(&upload.owner)).collect();
-        seen.sort_by_key(|upload| std::cmp::Reverse(upload.created));
+        let mut visible: Vec<_> = all.into_iter().filter(|upload| who.sees(&upload.owner)).collect();
+        visible.sort_by_key(|upload| std::cmp::Reverse(upload.created));
         UploadList {
             quota_bytes: self.0.limits.quota_bytes,
             used_bytes,
-            uploads: seen.iter().map(|upload| self.info(upload)).collect(),
+            uploads: visible.iter().map(|upload| self.info(upload)).collect(),
         }
     }
 
-    /// Returns the number of all users' uploads in each state, and the bytes that were received in all.
+    /// Returns the number of uploads of all users in each state, and the total bytes that they have received.
     pub fn counts(&self) -> (Vec<(UploadState, usize)>, u64) {
         let all: Vec<Arc<Upload>> = self.all().values().cloned().collect();
-        let of = |state| all.iter().filter(|upload| upload.status().state == state).count();
+        let count = |state| all.iter().filter(|upload| upload.status().state == state).count();
         let bytes = all.iter().map(|upload| upload.status().received).sum();
-        (UploadState::ALL.map(|state| (state, of(state))).to_vec(), bytes)
+        (UploadState::ALL.map(|state| (state, count(state))).to_vec(), bytes)
     }
 
     /// Returns the description of an upload.
@@ -305,7 +306,7 @@ impl Uploads {
         Ok(self.info(&*self.find(who, id)?))
     }
 
-    /// Removes an upload, whatever its state, and its volumes. Their viewers are notified.
+    /// Removes an upload in any state, and its volumes. Viewers of these volumes are notified.
     ///
     /// # Errors
     /// [`UploadError::Unknown`].
@@ -316,7 +317,7 @@ impl Uploads {
 
     /// Removes an upload, its volumes and its folder.
     async fn remove(&self, upload: &Arc<Upload>) -> Result<(), UploadError> {
-        // From here on no request finds the upload. `take_over` ends one that still writes to it.
+        // After this, no new request finds the upload. `take_over` below ends a request that still writes to it.
         if self.all().remove(&upload.id).is_none() {
             return Err(UploadError::Unknown(upload.id.clone()));
         }
@@ -325,8 +326,8 @@ impl Uploads {
         }
         let writer = upload.take_over().await;
         let (uploads, upload) = (self.clone(), Arc::clone(upload));
-        let removed = move || {
-            // A request may have added its volumes to the catalog while the upload was being removed.
+        let remove_folder = move || {
+            // Repeated, because `finish` may have added the volumes to the catalog meanwhile.
             for volume in &upload.status().volumes {
                 uploads.0.catalog.private().remove(volume);
             }
@@ -334,7 +335,7 @@ impl Uploads {
             drop(writer);
             std::fs::remove_dir_all(folder)
         };
-        Ok(tokio::task::spawn_blocking(removed).await??)
+        Ok(tokio::task::spawn_blocking(remove_folder).await??)
     }
 
     /// Returns the description of an upload for clients.
@@ -357,7 +358,7 @@ impl Uploads {
     }
 }
 
-/// Returns the bytes of uploads that count in the quota of their owner.
+/// Returns the bytes of these uploads that count in the quota of their owner.
 fn quota_bytes_of(uploads: &[&Arc<Upload>]) -> u64 {
     uploads
         .iter()

@@ -1,17 +1,18 @@
-//! Names of declared files. Files keep their names below the folder of their upload, because headers name their data files. Names that
-//! could lead out of it, or that look like another name, are refused before anything is created.
+//! Checks the names of declared files. Files keep their names below the folder of their upload, because headers refer to data files by
+//! name. Names that could leave this folder, or that look like another name, are refused before anything is created.
 
 use std::collections::HashSet;
 
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-/// Maximum files of an upload: a series of the largest scanners has some thousand, and each is looked at when they are read.
+/// Maximum number of files in an upload. A series of a large scanner has some thousand files. The reader opens each file.
 pub const MAX_FILES: usize = 20_000;
-/// Maximum folders below each other. OME-Zarr has eight at most.
+/// Maximum number of components in a name: folders and the file itself. OME-Zarr uses at most eight.
 const MAX_DEPTH: usize = 12;
-/// Maximum bytes of a name with its folders, and of a part of it, as file systems have it.
+/// Maximum bytes of a name with its folders.
 const MAX_NAME_BYTES: usize = 1_000;
+/// Maximum bytes of a component of a name. Common file systems have this limit.
 const MAX_PART_BYTES: usize = 255;
 
 /// A file of an upload.
@@ -24,32 +25,32 @@ pub struct DeclaredFile {
     pub bytes: u64,
 }
 
-/// Why files cannot be taken.
+/// Why the declared files are refused.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum NameError {
-    /// None, or too many.
+    /// No files, or too many.
     #[error("{0} files, expected 1 to {MAX_FILES}")]
     Count(usize),
-    /// Nothing is in them.
+    /// All files are empty.
     #[error("files of 0 bytes in all, expected some samples")]
     Empty,
-    /// More than can be counted.
+    /// The sum of the sizes overflows at this file, counted from 0.
     #[error("file {0}: the sizes add up to more than 2⁶³ bytes")]
     Size(usize),
     /// An invalid name.
     #[error("file {file}: {name:?}: {why}")]
     Name {
-        /// Which, from 0.
+        /// Number of the file, from 0.
         file: usize,
-        /// As it was declared, cut off.
+        /// First characters of the declared name.
         name: String,
-        /// What is wrong, and what was expected.
+        /// What is wrong, or what was expected.
         why: &'static str,
     },
 }
 
-/// Checks all names. Returns the sum of bytes.
+/// Checks the number, names and sizes of the files. Returns the sum of their bytes.
 pub(super) fn check(files: &[DeclaredFile]) -> Result<u64, NameError> {
     if files.is_empty() || files.len() > MAX_FILES {
         return Err(NameError::Count(files.len()));
@@ -65,9 +66,9 @@ pub(super) fn check(files: &[DeclaredFile]) -> Result<u64, NameError> {
         if let Some(why) = fault(name) {
             return Err(fail(why));
         }
-        // Some file systems do not tell these apart.
+        // Some file systems do not distinguish upper case from lower case.
         let folded = name.to_lowercase();
-        folders.extend(folded.match_indices('/').map(|(at, _)| folded[..at].to_owned()));
+        folders.extend(folded.match_indices('/').map(|(end, _)| folded[..end].to_owned()));
         if !names.insert(folded) {
             return Err(fail("a second file of this name, expected different names"));
         }
@@ -76,10 +77,10 @@ pub(super) fn check(files: &[DeclaredFile]) -> Result<u64, NameError> {
             .filter(|&total| total < 1 << 63)
             .ok_or(NameError::Size(file))?;
     }
-    let both = files
+    let file_and_folder = files
         .iter()
         .position(|file| folders.contains(&file.name.to_lowercase()));
-    if let Some(file) = both {
+    if let Some(file) = file_and_folder {
         return Err(NameError::Name {
             file,
             name: files[file].name.clone(),
@@ -89,7 +90,7 @@ pub(super) fn check(files: &[DeclaredFile]) -> Result<u64, NameError> {
     if total == 0 { Err(NameError::Empty) } else { Ok(total) }
 }
 
-/// Returns the fault of a name; `None` if it is valid.
+/// Returns what is wrong with a name; `None` if it is valid.
 fn fault(name: &str) -> Option<&'static str> {
     let parts: Vec<&str> = name.split('/').collect();
     if name.is_empty() || name.len() > MAX_NAME_BYTES {
@@ -109,13 +110,13 @@ fn fault(name: &str) -> Option<&'static str> {
     }
 }
 
-/// Whether a character is invisible, or changes the direction of those beside it.
+/// Whether a character is invisible, or changes the direction in which other characters are displayed.
 fn is_hidden(c: char) -> bool {
     c.is_control()
         || matches!(c, '\u{200b}'..='\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2060}'..='\u{2069}' | '\u{feff}' | '\u{fff9}'..='\u{fffb}')
 }
 
-/// Returns the folder that all files are in, if there is one.
+/// Returns the topmost folder that contains all files, if there is one.
 pub(super) fn common_folder(files: &[DeclaredFile]) -> Option<&str> {
     let folder = |file: &'_ DeclaredFile| file.name.split_once('/').map(|(folder, _)| folder.len());
     let length = folder(files.first()?)?;

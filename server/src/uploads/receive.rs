@@ -1,4 +1,4 @@
-//! Receives parts of uploads: limits how many there are at a time, and writes them to the disk.
+//! Receives parts of uploads: limits how many are received at the same time, and writes their bytes to the disk.
 
 use std::sync::Arc;
 use std::time::{Duration, SystemTime};
@@ -12,27 +12,31 @@ use super::upload::{Upload, Writer};
 use super::{Reader, Uploads};
 use crate::metrics;
 
-/// Maximum parts that are received at a time, of all users: each holds a connection and [`BLOCK_BYTES`].
+/// Maximum number of parts of all users that are received at the same time. Each occupies a connection and [`BLOCK_BYTES`].
 pub(super) const MAX_PARTS: usize = 32;
-/// The same of one user.
+/// Maximum number of parts of one user that are received at the same time.
 pub(super) const MAX_PARTS_OF_USER: usize = 4;
-/// Bytes that are written at once: large enough that a disk is as fast as it can be.
+/// Bytes of each write. Large enough for the full speed of a disk.
 const BLOCK_BYTES: usize = 1 << 20;
 
-/// If no bytes arrive for this long, those received so far are written: they then count even if the connection or the server ends.
-const PAUSE: Duration = Duration::from_millis(500);
+/// A smaller block is written if no bytes arrive for this long. Bytes that are on the disk are not lost with the connection or the server.
+const FLUSH_AFTER: Duration = Duration::from_millis(500);
 
 /// Event while a body is received.
 enum Event {
     Piece(Bytes),
-    Pause,
+    /// No bytes have arrived for [`FLUSH_AFTER`].
+    Idle,
     End,
+    /// The connection was lost.
     Lost,
+    /// Another request has taken over the upload.
     TakenOver,
 }
 
 impl Uploads {
-    /// Returns the bytes that are there, and the bytes in all. Ends a request that is sending a part, so that the number stays the same.
+    /// Returns the number of bytes that the upload has received, and its total number of bytes. Ends a request that is sending a part, so
+    /// that the first number does not change any more.
     ///
     /// # Errors
     /// [`UploadError`].
@@ -43,10 +47,11 @@ impl Uploads {
         Ok((received, upload.total))
     }
 
-    /// Receives the bytes that follow those already there, and returns how many there are afterwards. If the body ends too early, the bytes
-    /// that came are kept.
+    /// Receives a body, and appends it to the upload. Returns the number of bytes that the upload has received then. If the body ends too
+    /// early, its first bytes are kept.
     ///
-    /// `length`: bytes of the body, if that is known.
+    /// `offset` must be the number of bytes that the upload has. `length` is the number of bytes of the body, if the client has declared
+    /// it.
     ///
     /// # Errors
     /// [`UploadError`].
@@ -61,7 +66,7 @@ impl Uploads {
         let upload = self.find(who, id)?;
         let writer = upload.take_over().await?;
         let _slot = self.0.parts.enter(who.user())?;
-        // It may have been removed meanwhile.
+        // Looks the upload up again, because it may have been removed while this request waited to take over.
         let upload = self.find(who, id)?;
         let (state, expected) = {
             let status = upload.status();
@@ -80,12 +85,12 @@ impl Uploads {
         if length.is_some_and(|length| length > left) {
             return Err(UploadError::TooLong { left });
         }
-        take(&upload, writer, body).await
+        append(&upload, writer, body).await
     }
 }
 
-/// Appends a body to the upload.
-async fn take<E>(
+/// Appends a body to an upload. Returns the number of bytes that the upload has received then.
+async fn append<E>(
     upload: &Arc<Upload>,
     mut writer: Writer,
     mut body: impl Stream<Item = Result<Bytes, E>> + Unpin,
@@ -100,35 +105,35 @@ async fn take<E>(
                 Some(Err(_)) => Event::Lost,
                 None => Event::End,
             },
-            () = tokio::time::sleep(PAUSE), if !block.is_empty() => Event::Pause,
+            () = tokio::time::sleep(FLUSH_AFTER), if !block.is_empty() => Event::Idle,
         };
-        let is_pause = matches!(event, Event::Pause);
+        let is_idle = matches!(event, Event::Idle);
         let kept = upload.status().received + block.len() as u64;
         let left = upload.total - kept;
-        let end = match event {
+        let outcome = match event {
             Event::Piece(piece) if piece.len() as u64 > left => Some(Err(UploadError::TooLong { left })),
             Event::Piece(piece) => {
                 block.extend_from_slice(&piece);
                 None
             }
-            Event::Pause => None,
+            Event::Idle => None,
             Event::End => Some(Ok(kept)),
             Event::TakenOver => Some(Err(UploadError::TakenOver { kept })),
             Event::Lost => Some(Err(UploadError::Interrupted { kept })),
         };
-        let is_due = is_pause || end.is_some() || block.len() >= BLOCK_BYTES;
+        let is_due = is_idle || outcome.is_some() || block.len() >= BLOCK_BYTES;
         if is_due && !block.is_empty() {
-            writer = store(upload, writer, std::mem::take(&mut block)).await?;
+            writer = write_block(upload, writer, std::mem::take(&mut block)).await?;
         }
-        if let Some(end) = end {
-            return end;
+        if let Some(outcome) = outcome {
+            return outcome;
         }
     }
 }
 
-/// Writes bytes behind those that are there. They are written even if the client disconnects meanwhile: the blocking task holds the only
-/// `Writer`, so no other request can write first.
-async fn store(upload: &Arc<Upload>, writer: Writer, block: Vec<u8>) -> Result<Writer, UploadError> {
+/// Appends a block to an upload. A blocking task owns the `Writer` meanwhile. So if the client disconnects, the block is still written, and
+/// no other request can write before that.
+async fn write_block(upload: &Arc<Upload>, writer: Writer, block: Vec<u8>) -> Result<Writer, UploadError> {
     let upload = Arc::clone(upload);
     let write = move || {
         let offset = upload.status().received;

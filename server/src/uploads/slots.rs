@@ -1,4 +1,4 @@
-//! Limits how many operations of a kind run at a time, in all and for one user.
+//! Limits the number of concurrent operations of a kind, in total and for each user.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -7,15 +7,17 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
 use super::error::UploadError;
 
-/// Slots for all users, of which one user has a part at most.
+/// Slots for concurrent operations.
 pub(super) struct Slots {
+    /// Free slots.
     free: Arc<Semaphore>,
-    of_each: usize,
-    /// How many each user has.
+    /// Maximum number of slots of one user.
+    of_user: usize,
+    /// Number of slots that each user occupies.
     users: Arc<Mutex<HashMap<String, usize>>>,
 }
 
-/// A slot that is in use until this is dropped.
+/// Guard of an occupied slot. Dropping the guard frees the slot.
 pub(super) struct Slot {
     _permit: OwnedSemaphorePermit,
     users: Arc<Mutex<HashMap<String, usize>>>,
@@ -23,23 +25,25 @@ pub(super) struct Slot {
 }
 
 impl Slots {
-    pub(super) fn new(in_all: usize, of_each: usize) -> Self {
+    pub(super) fn new(total: usize, of_user: usize) -> Self {
         Self {
-            free: Arc::new(Semaphore::new(in_all)),
-            of_each,
+            free: Arc::new(Semaphore::new(total)),
+            of_user,
             users: Arc::default(),
         }
     }
 
+    /// Occupies a slot for a user.
+    ///
     /// # Errors
-    /// [`UploadError::Busy`].
+    /// [`UploadError::Busy`] if all slots, or all slots of this user, are occupied.
     pub(super) fn enter(&self, user: &str) -> Result<Slot, UploadError> {
         let permit = Arc::clone(&self.free)
             .try_acquire_owned()
             .map_err(|_| UploadError::Busy)?;
         let mut users = self.users.lock().unwrap_or_else(PoisonError::into_inner);
         let count = users.entry(user.to_owned()).or_default();
-        if *count >= self.of_each {
+        if *count >= self.of_user {
             return Err(UploadError::Busy);
         }
         *count += 1;

@@ -26,10 +26,9 @@ pub enum UploadState {
 }
 
 impl UploadState {
-    /// All of them.
     pub(super) const ALL: [Self; 2] = [Self::Receiving, Self::Ready];
 
-    /// Its name.
+    /// Returns the name in JSON and in metrics.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Receiving => "receiving",

@@ -1,5 +1,5 @@
-//! One upload: its state, and which request writes to it. One request writes at a time. A client whose connection was lost may reconnect
-//! before the server has noticed the loss, so the newest request replaces the one before.
+//! One upload: its state, and the request that writes to it. One request writes at a time. A client may reconnect before the server has
+//! noticed that the old connection was lost, so the newest request takes over the upload from the previous one.
 
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -14,20 +14,24 @@ use super::folder::{Record, files_of};
 use super::names::common_folder;
 use super::state::UploadState;
 
-/// Longest wait for the request before, which ends at its next piece: a disk may be slow.
-const TAKE_OVER: Duration = Duration::from_secs(5);
+/// Maximum wait for the end of the previous request, which may have to finish a write to a slow disk.
+const TAKE_OVER_LIMIT: Duration = Duration::from_secs(5);
 
+/// An upload.
 pub(super) struct Upload {
     pub id: String,
     pub owner: String,
+    /// Idempotency key of the request that created the upload.
     pub key: Option<String>,
     pub created: SystemTime,
+    /// Bytes of all declared files.
     pub total: u64,
     pub folder: PathBuf,
     pub contents: Contents,
     status: Mutex<Status>,
+    /// Locked by the request that writes.
     writing: Arc<tokio::sync::Mutex<()>>,
-    /// Cancels the request that writes now.
+    /// Cancels the request that writes.
     current: Mutex<CancellationToken>,
 }
 
@@ -35,14 +39,15 @@ pub(super) struct Upload {
 #[derive(Clone, Debug)]
 pub(super) struct Status {
     pub state: UploadState,
+    /// Bytes that were received.
     pub received: u64,
-    /// Bytes by which the contents of its compressed files exceed these files: known once it was read.
+    /// Number of bytes by which the unpacked contents of compressed files exceed the files; 0 until the upload was read.
     pub unpacked: u64,
-    /// When it was last written to or used.
+    /// When bytes were received or volumes used most recently.
     pub used: SystemTime,
-    /// Ids of its volumes.
+    /// Ids of the volumes.
     pub volumes: Vec<String>,
-    /// Why it could not be read.
+    /// Why the files could not be read as volumes, if that was tried.
     pub error: Option<String>,
 }
 
@@ -70,6 +75,7 @@ impl Upload {
         }
     }
 
+    /// Returns the record to be stored.
     pub(super) fn record(&self, is_ready: bool) -> Record {
         Record {
             owner: self.owner.clone(),
@@ -86,7 +92,7 @@ impl Upload {
         self.total.saturating_add(self.status().unpacked)
     }
 
-    /// For people: the only file, the folder of all files, or the first one.
+    /// Returns a title for users: the name of the only file, of the folder of all files, or of the first file.
     pub(super) fn title(&self) -> String {
         let files = self.contents.files();
         let first = files.first().map_or("", |file| file.name.as_str());
@@ -99,26 +105,26 @@ impl Upload {
         self.status.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Cancels the request that writes now, and waits until it has ended.
+    /// Cancels the request that writes, waits until it has ended, and returns the right to write.
     pub(super) async fn take_over(&self) -> Result<Writer, UploadError> {
         let token = CancellationToken::new();
-        self.end_writing(token.clone());
-        let waiting = Arc::clone(&self.writing).lock_owned();
-        let guard = tokio::time::timeout(TAKE_OVER, waiting).await;
+        self.cancel_writer(token.clone());
+        let lock = Arc::clone(&self.writing).lock_owned();
+        let guard = tokio::time::timeout(TAKE_OVER_LIMIT, lock).await;
         Ok(Writer {
             _guard: guard.map_err(|_| UploadError::Locked)?,
             token,
         })
     }
 
-    /// Cancels the request that writes now. `next` is the token that cancels the one after it.
-    pub(super) fn end_writing(&self, next: CancellationToken) {
+    /// Cancels the request that writes. `next` is the token that cancels the next one.
+    pub(super) fn cancel_writer(&self, next: CancellationToken) {
         let mut current = self.current.lock().unwrap_or_else(PoisonError::into_inner);
         std::mem::replace(&mut *current, next).cancel();
     }
 }
 
-/// The right to write to an upload, until it is dropped.
+/// Guard: the right to write to an upload.
 pub(super) struct Writer {
     _guard: OwnedMutexGuard<()>,
     /// Cancelled when another request takes over.

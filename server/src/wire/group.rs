@@ -1,13 +1,13 @@
-//! Types in the messages of groups: camera poses, and members. Normative: `PROTOCOL.md`, section 7.
+//! Types in the messages of groups: camera poses and members. `PROTOCOL.md`, section 7, is normative.
 
 use serde::{Deserialize, Serialize};
 
 use isopeel_view::Edit;
 
-/// Maximum characters of the name that a follower gives.
+/// Maximum characters of the name of a follower.
 const MAX_NAME_CHARS: usize = 40;
 
-/// Maximum bytes of the text that describes the look of a page. The viewer writes some hundred bytes.
+/// Maximum bytes of [`Pose::page`]. The web client writes some hundred bytes.
 const MAX_PAGE_BYTES: usize = 16 << 10;
 
 /// How a camera shows depth.
@@ -53,7 +53,7 @@ impl Pose {
     /// Checks a pose that a client has sent.
     ///
     /// # Errors
-    /// A text that is too long, a camera without finite coordinates, or one whose target is its own position.
+    /// The page text is too long, a coordinate of the camera is not finite, or its target equals its position.
     pub fn check(&self) -> Result<(), String> {
         if let Some(page) = &self.page
             && page.len() > MAX_PAGE_BYTES
@@ -61,7 +61,11 @@ impl Pose {
             return Err(format!("page: {} bytes, expected at most {MAX_PAGE_BYTES}", page.len()));
         }
         let Some(camera) = self.camera else { return Ok(()) };
-        let is_finite = camera.position.iter().chain(&camera.target).all(|at| at.is_finite());
+        let is_finite = camera
+            .position
+            .iter()
+            .chain(&camera.target)
+            .all(|coordinate| coordinate.is_finite());
         match is_finite && camera.position != camera.target {
             true => Ok(()),
             false => Err("camera: expected finite positions, and another target than its own".into()),
@@ -88,10 +92,10 @@ impl std::fmt::Debug for Resume {
     }
 }
 
-/// Checks the name that a follower gives.
+/// Checks the name of a follower.
 ///
 /// # Errors
-/// The fault of the name.
+/// A message for users that says what is wrong with the name.
 pub fn check_name(name: &str) -> Result<(), String> {
     let chars = name.chars().count();
     if chars == 0 || chars > MAX_NAME_CHARS || name.chars().any(char::is_control) || name.trim() != name {

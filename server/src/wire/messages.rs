@@ -1,4 +1,4 @@
-//! Text frames and limits of the stream. Normative: `PROTOCOL.md`.
+//! Text frames and limits of the stream. `PROTOCOL.md` is normative.
 
 mod close;
 
@@ -19,10 +19,10 @@ use crate::service::Preparation;
 /// Subprotocol that a client must offer.
 pub const SUBPROTOCOL: &str = "isopeel.v2";
 
-/// Longest message of a client, bytes. 64 control points take about 4 KiB.
+/// Maximum bytes of a client's message. An edit with 64 control points takes about 4 KiB.
 pub const MAX_MESSAGE_BYTES: usize = 64 * 1024;
 
-/// Malformed messages in a row after which a client is closed with [`CloseCode::Malformed`].
+/// Number of consecutive malformed messages after which the server closes the connection with [`CloseCode::Malformed`].
 pub const MAX_MALFORMED: u32 = 16;
 
 /// A text frame from a client.
@@ -174,7 +174,7 @@ impl<'de> Deserialize<'de> for SurfaceEdit {
                 out.write_str("an edit")
             }
 
-            /// Collects the fields in a list, so that a duplicate field is still noticed.
+            /// Collects the fields in a list instead of a map, because a map would hide duplicate fields.
             fn visit_map<A: serde::de::MapAccess<'de>>(self, mut map: A) -> Result<Self::Value, A::Error> {
                 let mut fields = Vec::new();
                 while let Some(field) = map.next_entry()? {
@@ -200,10 +200,10 @@ impl<'de> Deserialize<'de> for SurfaceEdit {
 }
 
 impl ClientMessage {
-    /// Reads a text frame.
+    /// Parses a text frame.
     ///
     /// # Errors
-    /// What is wrong with it, in a sentence.
+    /// A message for clients that says what is wrong.
     pub fn parse(text: &str) -> Result<Self, String> {
         serde_json::from_str(text).map_err(|error| error.to_string())
     }
@@ -497,7 +497,7 @@ impl ServerMessage {
 
     /// Returns the text frame.
     pub fn to_json(&self) -> String {
-        // Cannot fail: serde_json only fails on maps whose keys are not strings, and messages have none.
+        // Cannot fail: serde_json fails only for maps whose keys are not strings, and messages have no such maps.
         serde_json::to_string(self).unwrap_or_default()
     }
 }

@@ -1,4 +1,4 @@
-//! Text frames of the stream. Normative: `PROTOCOL.md`. Binary frames are those of `isopeel_codec`.
+//! Text frames of the stream. `PROTOCOL.md` is normative. The crate `isopeel_codec` has the binary frames.
 //!
 //! - [`messages`]: the messages of client and server.
 //! - [`group`]: types in the messages of groups.

@@ -6,7 +6,7 @@ use serde_json::{Value, json};
 
 use super::{
     ARRAY_BUFFER, Attributes, ELEMENT_ARRAY_BUFFER, FLOAT, MISSING, TRIANGLES, UNSIGNED_INT, UNSIGNED_SHORT, bounds,
-    document, material, node_at, shown, write_chunks,
+    document, material, node_at, non_empty, write_chunks,
 };
 use crate::mesh::attribute_names;
 use crate::{ExportError, Mesh};
@@ -14,29 +14,29 @@ use crate::{ExportError, Mesh};
 const EXTENSION: &str = "EXT_meshopt_compression";
 const QUANTIZED: &str = "KHR_mesh_quantization";
 const BYTE: u32 = 5120;
-/// Bits of each of a normal's two coordinates.
+/// Bits of each of the two octahedral coordinates of a normal.
 const NORMAL_BITS: i32 = 8;
-/// Steps of a position along the longest side of the surface.
+/// Number of lattice steps along the longest side of the surface: the maximum of 16 bits.
 const STEPS: f32 = 65535.0;
 /// Version of the vertex codec that the extension requires.
 const VERTEX_VERSION: i32 = 0;
-/// Level of the vertex codec with the strongest search.
+/// Level of the vertex codec with the highest compression.
 const VERTEX_LEVEL: i32 = 2;
 
-/// Writes `meshes` as [`super::write`] does, but rounded: positions are whole numbers of 16 bits along the longest side, normals have 8 bits,
-/// smoothness and feature 16. Values of fields are exact.
+/// Writes `meshes` as [`super::write`] does, but with fewer bits: positions have 16 bits along the longest side, normals have two numbers
+/// of 8 bits, and smoothness and feature have 16 bits. Values of fields are exact.
 ///
 /// # Errors
-/// More than the 4 GiB of a GLB, or the errors of `out`.
+/// The file would exceed the 4 GiB of a GLB, or `out` fails.
 pub(crate) fn write(meshes: &[Mesh], extras: &Value, out: &mut impl Write) -> Result<(), ExportError> {
     let mut buffer = PackedBuffer::default();
     let (mut primitives, mut nodes) = (Vec::new(), Vec::new());
-    for (number, mesh) in (0..).zip(shown(meshes)) {
+    for (number, mesh) in (0..).zip(non_empty(meshes)) {
         let lattice = Lattice::of(mesh);
         primitives.push(primitive(mesh, &lattice, number, &mut buffer)?);
         nodes.push(node_at(mesh, number, lattice.origin(mesh), lattice.step.into()));
     }
-    let materials = shown(meshes).map(material).collect();
+    let materials = non_empty(meshes).map(material).collect();
     let mut json = document(meshes, extras, primitives, nodes, materials);
     if !buffer.bytes.is_empty() {
         json["extensionsUsed"] = json!([EXTENSION, QUANTIZED]);
@@ -45,7 +45,7 @@ pub(crate) fn write(meshes: &[Mesh], extras: &Value, out: &mut impl Write) -> Re
         json["bufferViews"] = buffer.views.into();
         json["buffers"] = json!([
             { "byteLength": buffer.bytes.len() },
-            // The decoded buffer, which has no bytes in the file.
+            // The buffer after decoding. It has no bytes in the file.
             { "byteLength": buffer.decoded_bytes, "extensions": { EXTENSION: { "fallback": true } } },
         ]);
     }
@@ -59,7 +59,7 @@ pub fn rounding(mesh: &Mesh) -> f64 {
     f64::from(Lattice::of(mesh).step) / 2.0
 }
 
-/// Lattice on which positions are whole numbers.
+/// Lattice to whose points positions are rounded.
 struct Lattice {
     low: [f32; 3],
     step: f32,
@@ -81,7 +81,7 @@ impl Lattice {
         }
     }
 
-    /// Returns the world position of the lattice's origin.
+    /// Returns the world position of the origin of the lattice.
     fn origin(&self, mesh: &Mesh) -> [f64; 3] {
         [0, 1, 2].map(|axis| mesh.origin[axis] + f64::from(self.low[axis]))
     }
@@ -102,10 +102,10 @@ fn primitive(mesh: &Mesh, lattice: &Lattice, number: usize, buffer: &mut PackedB
         .collect();
     let corners = positions.iter().map(|&[x, y, z, _]| [x, y, z].map(f32::from));
     let (min, max) = bounds(&corners.collect::<Vec<_>>());
-    let more = json!({ "min": min, "max": max });
+    let properties = json!({ "min": min, "max": max });
     attribute(
         "POSITION",
-        buffer.vertices(&positions, "NONE", UNSIGNED_SHORT, "VEC3", more)?,
+        buffer.vertices(&positions, "NONE", UNSIGNED_SHORT, "VEC3", properties)?,
     );
     let normals: Vec<[f32; 4]> = mesh.normals.iter().map(|&[x, y, z]| [x, y, z, 0.0]).collect();
     let normals: Vec<[i8; 4]> = meshopt::encode_filter_oct(&normals, NORMAL_BITS);
@@ -115,19 +115,19 @@ fn primitive(mesh: &Mesh, lattice: &Lattice, number: usize, buffer: &mut PackedB
         buffer.vertices(&normals, "OCTAHEDRAL", BYTE, "VEC3", normalized())?,
     );
     for (name, values) in [("_SMOOTHNESS", &mesh.smoothness), ("_FEATURE", &mesh.feature)] {
-        let shares: Vec<[u16; 2]> = values
+        let quantized: Vec<[u16; 2]> = values
             .iter()
             .map(|value| [(value * 65535.0).round() as u16, 0])
             .collect();
         attribute(
             name,
-            buffer.vertices(&shares, "NONE", UNSIGNED_SHORT, "SCALAR", normalized())?,
+            buffer.vertices(&quantized, "NONE", UNSIGNED_SHORT, "SCALAR", normalized())?,
         );
     }
     let names = Attributes::of(&attribute_names(mesh, "_", &["_SMOOTHNESS", "_FEATURE"]));
     for (name, field) in names.0.iter().zip(&mesh.fields) {
-        let present = |value: &f32| if value.is_finite() { *value } else { MISSING };
-        let values: Vec<f32> = field.values.iter().map(present).collect();
+        let without_nan = |value: &f32| if value.is_finite() { *value } else { MISSING };
+        let values: Vec<f32> = field.values.iter().map(without_nan).collect();
         attribute(name, buffer.vertices(&values, "NONE", FLOAT, "SCALAR", json!({}))?);
     }
     if !mesh.colors.is_empty() {
@@ -142,11 +142,11 @@ fn primitive(mesh: &Mesh, lattice: &Lattice, number: usize, buffer: &mut PackedB
         "indices": buffer.triangles(mesh)?,
         "material": number,
         "mode": TRIANGLES,
-        "extras": { "levelTriangles": mesh.level_triangles, "fields": names.described(mesh) },
+        "extras": { "levelTriangles": mesh.level_triangles, "fields": names.descriptions(mesh) },
     }))
 }
 
-/// The binary chunk, with views and accessors of the decoded buffer.
+/// The binary chunk, and views and accessors of the buffer after decoding.
 #[derive(Default)]
 struct PackedBuffer {
     bytes: Vec<u8>,
@@ -156,14 +156,14 @@ struct PackedBuffer {
 }
 
 impl PackedBuffer {
-    /// Adds an attribute of vertices, and returns its accessor.
+    /// Adds an attribute with a value for each vertex, and returns the number of its accessor.
     fn vertices<T>(
         &mut self,
         values: &[T],
         filter: &str,
         component: u32,
         shape: &str,
-        more: Value,
+        properties: Value,
     ) -> Result<usize, ExportError> {
         let packed = meshopt::encode_vertex_buffer_level(values, VERTEX_LEVEL, Some(VERTEX_VERSION)).map_err(failed)?;
         let stride = size_of::<T>();
@@ -174,9 +174,10 @@ impl PackedBuffer {
         let view = self.view(&packed, size_of_val(values), compression);
         self.views[view]["byteStride"] = stride.into();
         self.views[view]["target"] = ARRAY_BUFFER.into();
-        Ok(self.accessor(view, component, shape, values.len(), more))
+        Ok(self.accessor(view, component, shape, values.len(), properties))
     }
 
+    /// Adds the triangles of a mesh, and returns the number of their accessor.
     fn triangles(&mut self, mesh: &Mesh) -> Result<usize, ExportError> {
         let corners = mesh.triangles.as_flattened();
         let packed = meshopt::encode_index_buffer(corners, mesh.positions.len()).map_err(failed)?;
@@ -186,25 +187,26 @@ impl PackedBuffer {
         Ok(self.accessor(view, UNSIGNED_INT, "SCALAR", corners.len(), json!({})))
     }
 
-    fn view(&mut self, packed: &[u8], decoded: usize, mut compression: Value) -> usize {
+    /// Adds a view of `packed` bytes, which decode to `decoded_bytes`, and returns its number.
+    fn view(&mut self, packed: &[u8], decoded_bytes: usize, mut compression: Value) -> usize {
         compression["buffer"] = 0.into();
         compression["byteOffset"] = self.bytes.len().into();
         compression["byteLength"] = packed.len().into();
         self.views.push(json!({
             "buffer": 1,
             "byteOffset": self.decoded_bytes,
-            "byteLength": decoded,
+            "byteLength": decoded_bytes,
             "extensions": { EXTENSION: compression },
         }));
         self.bytes.extend_from_slice(packed);
         self.bytes.resize(self.bytes.len().next_multiple_of(4), 0);
-        self.decoded_bytes += decoded.next_multiple_of(4);
+        self.decoded_bytes += decoded_bytes.next_multiple_of(4);
         self.views.len() - 1
     }
 
-    fn accessor(&mut self, view: usize, component: u32, shape: &str, count: usize, more: Value) -> usize {
+    fn accessor(&mut self, view: usize, component: u32, shape: &str, count: usize, properties: Value) -> usize {
         self.accessors
-            .push(super::accessor(view, component, shape, count, more));
+            .push(super::accessor(view, component, shape, count, properties));
         self.accessors.len() - 1
     }
 }

@@ -1,14 +1,14 @@
-//! The events of the audit log, and which requests cause them.
+//! The events of the audit log, and the requests that cause them.
 
 use axum::http::Method;
 use axum::http::header::{HeaderMap, LOCATION};
 use serde::Serialize;
 
-/// Kind of an event, as its line in the log names it.
+/// Kind of an event. Its name is part of the log format.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub(in crate::access) enum Event {
-    /// A token was exchanged for a cookie, or an issuer has sent a user back.
+    /// A token was exchanged for a cookie, or the browser has returned from an issuer.
     SignIn,
     /// A user has signed out.
     SignOut,
@@ -34,7 +34,7 @@ pub(in crate::access) enum Event {
     UploadFinish,
     /// The files of an upload were deleted.
     UploadDelete,
-    /// Another request, which was refused.
+    /// Any other request. Logged only if it was refused.
     Request,
     /// A token appeared in the state folder.
     TokenCreated,
@@ -42,7 +42,7 @@ pub(in crate::access) enum Event {
     TokenRevoked,
 }
 
-/// Upper bound on the length of an id of a job or an upload, bytes. Real ones are shorter.
+/// Maximum bytes of a logged id of a job or an upload. The ids that the server assigns are shorter.
 const MAX_ID_BYTES: usize = 64;
 
 /// Returns the event of a request, and the id of its job or upload.
@@ -64,12 +64,12 @@ pub(super) fn event_of(method: &Method, path: &str) -> (Event, Option<String>) {
         (["uploads", id], &Method::DELETE) => (Event::UploadDelete, Some(*id)),
         _ => (Event::Request, None),
     };
-    // Ids of jobs and uploads are short and alphanumeric. Any other text was chosen by the client, and is not logged.
+    // The server assigns short alphanumeric ids. Any other text comes from the client, and is not logged.
     let is_id = |id: &str| id.len() <= MAX_ID_BYTES && id.bytes().all(|byte| byte.is_ascii_alphanumeric());
     (event, id.filter(|id| is_id(id)).map(str::to_owned))
 }
 
-/// Returns the id of the created job or upload, from the `Location` of the answer.
+/// Returns the id of the job or upload that a request has created, from the header `Location` of the response.
 pub(super) fn created_id(headers: &HeaderMap) -> Option<String> {
     let location = headers.get(LOCATION)?.to_str().ok()?;
     let path = location.strip_prefix("/api/v1/")?;

@@ -1,4 +1,4 @@
-//! Counts refusals of one kind, so that clients who are refused repeatedly do not fill the disk with lines.
+//! Counts repeated refusals, so that a refused client cannot fill the disk with lines.
 
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
@@ -8,16 +8,16 @@ use std::time::{Duration, Instant};
 
 use super::Event;
 
-/// Maximum kinds of refusals that are counted separately. Further kinds are counted together, without user and peer.
+/// Maximum number of kinds that are counted separately. Beyond that, refusals are counted without their users and peers.
 pub(super) const MAX_KINDS: usize = 1_024;
 
-/// A kind of refusals: their lines differ only in time and id.
+/// A kind of refusals. The lines of two refusals of the same kind differ only in time and id.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub(super) struct Kind {
     pub(super) event: Event,
     pub(super) status: Option<u16>,
     pub(super) code: Option<&'static str>,
-    /// User and token.
+    /// User and id of the token.
     pub(super) who: Option<(Arc<str>, Arc<str>)>,
     pub(super) peer: Option<IpAddr>,
 }
@@ -25,33 +25,33 @@ pub(super) struct Kind {
 /// Refusals that were counted instead of written.
 #[derive(Debug, Default)]
 pub(super) struct Refusals {
-    /// For each kind, when counting began, and the number of refusals after the first.
+    /// For each kind, the time of the first refusal, and the number of refusals after it.
     kinds: HashMap<Kind, (Instant, u64)>,
 }
 
 impl Refusals {
-    /// Counts a refusal. Returns true if it must be written, because it is the first of its kind for a while.
+    /// Counts a refusal. Returns true if it is the first of its kind, whose line must be written.
     pub(super) fn count(&mut self, mut kind: Kind, now: Instant) -> bool {
         if self.kinds.len() >= MAX_KINDS && !self.kinds.contains_key(&kind) {
             (kind.who, kind.peer) = (None, None);
         }
         match self.kinds.entry(kind) {
-            Entry::Occupied(mut found) => {
-                found.get_mut().1 += 1;
+            Entry::Occupied(mut count) => {
+                count.get_mut().1 += 1;
                 false
             }
-            Entry::Vacant(space) => {
-                space.insert((now, 0));
+            Entry::Vacant(entry) => {
+                entry.insert((now, 0));
                 true
             }
         }
     }
 
-    /// Removes and returns the counts that must be written: those of kinds that were first seen at least `age` ago.
+    /// Removes the kinds whose first refusal was at least `age` ago, and returns their counts if these are above 0.
     pub(super) fn take_due(&mut self, now: Instant, age: Duration) -> Vec<(Kind, u64)> {
         let due = self.kinds.extract_if(|_, (since, _)| now.duration_since(*since) >= age);
-        due.map(|(kind, (_, more))| (kind, more))
-            .filter(|(_, more)| *more > 0)
+        due.map(|(kind, (_, count))| (kind, count))
+            .filter(|(_, count)| *count > 0)
             .collect()
     }
 }

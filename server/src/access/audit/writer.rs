@@ -14,9 +14,9 @@ use super::{COUNTING_PERIOD, Line, Outcome, WRITE_INTERVAL, lock, now};
 /// A command to the writer.
 pub(super) enum Command {
     Write(Vec<u8>),
-    /// The file was moved away: open it again.
+    /// Opens the file again, after it was moved away.
     Reopen,
-    /// Answers once all earlier lines are written.
+    /// Replies after all earlier lines were written.
     Flush(SyncSender<()>),
 }
 
@@ -27,11 +27,11 @@ fn open(path: &Path) -> io::Result<File> {
     options.create(true).append(true).open(path)
 }
 
-/// State of the thread that writes.
+/// State of the writer thread.
 pub(super) struct Writer {
     path: PathBuf,
     file: File,
-    /// Number of lines that were dropped because the queue was full, since the last line that states such a number.
+    /// Number of lines that were dropped because the queue was full, and that no line has stated yet.
     lost: Arc<AtomicU64>,
     refusals: Arc<Mutex<Refusals>>,
     /// Whether an error was logged. Further errors are not logged until a write succeeds.
@@ -39,8 +39,7 @@ pub(super) struct Writer {
 }
 
 impl Writer {
-    /// Opens the log, which is created or appended to. The writer adds a line for the number of `lost` lines, and one for each count of
-    /// `refusals`.
+    /// Opens the file, or creates it. The writer adds lines that state the number of `lost` lines and the counts of `refusals`.
     ///
     /// # Errors
     /// The file cannot be opened.
@@ -54,7 +53,7 @@ impl Writer {
         })
     }
 
-    /// Executes commands until all senders are gone. Writes the due counts of refusals meanwhile.
+    /// Executes commands until all senders are dropped. Meanwhile writes due counts of refusals.
     pub(super) fn run(mut self, commands: &Receiver<Command>) {
         let mut counts_written = Instant::now();
         loop {
@@ -89,7 +88,7 @@ impl Writer {
         }
     }
 
-    /// Writes how many refusals there were of the kinds that were first seen at least `age` ago.
+    /// Writes the counts of the kinds whose first refusal was at least `age` ago.
     fn write_counts(&mut self, age: Duration) {
         let counts = lock(&self.refusals).take_due(Instant::now(), age);
         for (kind, count) in counts {

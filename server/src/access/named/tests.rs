@@ -102,7 +102,7 @@ async fn a_running_server_learns_of_tokens_and_of_their_end() {
     let file = TokenFile::in_folder(folder.path());
     let watch = TokenWatch::open(file.clone()).unwrap();
     let access = access(&watch);
-    let running = tokio::spawn(watch.look_every(Duration::from_millis(20)));
+    let running = tokio::spawn(watch.check_every(Duration::from_millis(20)));
     let (token, made) = file.create(new("ann", &[Role::Edit])).unwrap();
     until(|| access.who(token.text()).is_some()).await;
     let who = access.who(token.text()).unwrap();
@@ -129,7 +129,7 @@ async fn while_the_file_cannot_be_read_it_lets_nobody_in() {
     let (token, _) = file.create(new("ann", &[Role::Edit])).unwrap();
     let watch = TokenWatch::open(file).unwrap();
     let access = access(&watch);
-    let running = tokio::spawn(watch.look_every(Duration::from_millis(20)));
+    let running = tokio::spawn(watch.check_every(Duration::from_millis(20)));
     let path = folder.path().join(FILE);
     let text = std::fs::read(&path).unwrap();
     std::fs::write(&path, "{").unwrap();

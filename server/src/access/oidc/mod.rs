@@ -1,5 +1,5 @@
-//! Sign-in through an OpenID Connect issuer: the authorization code flow with PKCE (RFC 7636). A user whose sign-in the issuer confirms
-//! gets the roles that their groups have here, and a session of their own ([`super::signed_in`]).
+//! Sign-in through an OpenID Connect issuer: the authorization code flow with PKCE (RFC 7636). After a confirmed sign-in, the user has a
+//! session ([`super::signed_in`]) with the roles that the server's configuration gives to the user's groups.
 
 mod claims;
 mod pending;
@@ -24,14 +24,14 @@ use super::role::{Role, Roles};
 use super::token::TokenError;
 use crate::problem::ApiError;
 
-pub(super) use pending::{LIFETIME as TRIP_LIFETIME, random};
+pub(super) use pending::{LIFETIME as SIGN_IN_LIFETIME, random};
 
-/// Lifetime of a signed-in user's session: a working day.
+/// Lifetime of a session in seconds: a working day.
 pub(super) const SESSION_SECONDS: u64 = 10 * 3600;
-/// The path that the issuer redirects browsers to, below the address of the server.
+/// Path to which the issuer redirects browsers, below the address of the server.
 const CALLBACK: &str = "api/v1/oidc/callback";
 
-/// Roles of a group at the issuer. On the command line: `GROUP=view,export`. The group `*` stands for all users.
+/// The roles that the members of a group get. Written as `GROUP=view,export` on the command line. The group `*` stands for all users.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct GroupRoles {
     group: String,
@@ -58,21 +58,21 @@ impl FromStr for GroupRoles {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum OidcError {
-    /// The issuer's address is invalid.
+    /// The address of the issuer is invalid.
     #[error("--oidc-issuer {0:?}: expected an address such as https://login.example, as the issuer itself writes it")]
     Issuer(String),
-    /// No group is given a role, so no user could do anything.
+    /// No group has a role, so no user could do anything.
     #[error("--oidc-role: expected one or more, such as staff=edit,export, or *=view for everybody")]
     NoRoles,
-    /// Requests cannot be sent.
+    /// The HTTP client cannot be created.
     #[error("requests to the issuer cannot be sent")]
     Requests(#[source] reqwest::Error),
-    /// The system has no random numbers for the key of sign-ins.
+    /// The system has no random numbers for the key of sign-ins in progress.
     #[error(transparent)]
     Random(TokenError),
 }
 
-/// The operator's configuration of an issuer.
+/// Configuration of an issuer.
 #[derive(Clone)]
 pub struct OidcOptions {
     /// Address of the issuer, as the issuer itself writes it.
@@ -81,15 +81,16 @@ pub struct OidcOptions {
     pub client_id: String,
     /// The client secret; `None` for a public client.
     pub client_secret: Option<String>,
-    /// The scopes to request, including `openid`. Some issuers have groups in a scope of their own; others refuse unknown scopes.
+    /// The scopes to request, separated by spaces, including `openid`. Some issuers have a separate scope for groups; others refuse unknown
+    /// scopes.
     pub scope: String,
-    /// The claim that has the names of groups; dots separate the names of nested objects.
+    /// The claim with the names of groups. Dots separate the names of nested objects.
     pub groups_claim: String,
     /// Roles of groups.
     pub roles: Vec<GroupRoles>,
 }
 
-/// Leaves out the client secret.
+/// Leaves out the client secret, so that it is never logged.
 impl std::fmt::Debug for OidcOptions {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("OidcOptions")
@@ -104,7 +105,7 @@ pub struct Oidc {
     options: Arc<OidcOptions>,
     provider: Arc<Provider>,
     pending: PendingSignIns,
-    /// Address at which browsers find the server, with a slash at its end.
+    /// Public address of the server, with a slash at its end.
     home: Arc<str>,
 }
 
@@ -116,10 +117,10 @@ pub(super) struct ConfirmedUser {
 }
 
 impl Oidc {
-    /// Creates the sign-in of a server that browsers find at `public`.
+    /// Creates the sign-in of a server with the address `public`. Sends no request to the issuer.
     ///
     /// # Errors
-    /// [`OidcError`]. The issuer is not contacted here, so an unreachable one fails only when a user signs in.
+    /// [`OidcError`]. An unreachable issuer is not an error here, but fails when a user signs in.
     pub fn new(options: OidcOptions, public: &PublicUrl) -> Result<Self, OidcError> {
         let bad = || OidcError::Issuer(options.issuer.clone());
         let address: Url = options.issuer.parse().map_err(|_| bad())?;
@@ -130,7 +131,7 @@ impl Oidc {
             return Err(OidcError::NoRoles);
         }
         let provider = Provider::new(options.issuer.clone()).map_err(|error| match error {
-            ProviderError::Away(error) => OidcError::Requests(error),
+            ProviderError::Unreachable(error) => OidcError::Requests(error),
             _ => bad(),
         })?;
         let home = public.to_string();
@@ -142,20 +143,20 @@ impl Oidc {
         })
     }
 
-    /// Returns the issuer, which is shown to users who sign in there.
+    /// Returns the address of the issuer, which the page shows.
     pub fn issuer(&self) -> &str {
         &self.options.issuer
     }
 
-    /// Returns the address at which browsers find the server.
+    /// Returns the public address of the server, with a slash at its end.
     pub fn home(&self) -> &str {
         &self.home
     }
 
-    /// Begins a sign-in. Returns the issuer's address to which the browser is sent, and a secret that the browser brings back.
+    /// Begins a sign-in. Returns the address of the issuer to which the browser is redirected, and a secret for the cookie of the sign-in.
     pub(super) async fn begin(&self) -> Result<(String, String), ApiError> {
-        let (metadata, _) = self.provider.metadata(false).await.map_err(away)?;
-        let (secret, state, trip) = self.pending.begin(Instant::now()).map_err(no_random)?;
+        let (metadata, _) = self.provider.metadata(false).await.map_err(issuer_error)?;
+        let (secret, state, sign_in) = self.pending.begin(Instant::now()).map_err(no_random)?;
         let redirect = self.redirect();
         let mut address = metadata.authorization_endpoint.0;
         address
@@ -165,68 +166,76 @@ impl Oidc {
             .append_pair("redirect_uri", &redirect)
             .append_pair("scope", &self.options.scope)
             .append_pair("state", &state)
-            .append_pair("nonce", &trip.nonce)
-            .append_pair("code_challenge", &trip.challenge())
+            .append_pair("nonce", &sign_in.nonce)
+            .append_pair("code_challenge", &sign_in.challenge())
             .append_pair("code_challenge_method", "S256");
         Ok((address.into(), secret))
     }
 
-    /// Completes a sign-in, after the browser has returned from the issuer with a code, a state and its secret.
+    /// Completes a sign-in after the browser has returned from the issuer with a code, a state and the secret of its cookie.
     pub(super) async fn end(&self, secret: Option<&str>, state: &str, code: &str) -> Result<ConfirmedUser, ApiError> {
-        let trip = secret.and_then(|secret| self.pending.end(secret, state, Instant::now()));
-        let trip = trip.ok_or_else(|| {
+        let sign_in = secret.and_then(|secret| self.pending.end(secret, state, Instant::now()));
+        let sign_in = sign_in.ok_or_else(|| {
             refused("this sign-in began in another browser, was used, or took longer than ten minutes")
         })?;
-        let (metadata, keys) = self.provider.metadata(false).await.map_err(away)?;
+        let (metadata, keys) = self.provider.metadata(false).await.map_err(issuer_error)?;
         let redirect = self.redirect();
         let exchange = Exchange {
             client_id: &self.options.client_id,
             client_secret: self.options.client_secret.as_deref(),
             code,
-            verifier: &trip.verifier,
+            verifier: &sign_in.verifier,
             redirect: &redirect,
         };
-        let token = self.provider.exchange(&metadata, &exchange).await.map_err(away)?;
+        let token = self
+            .provider
+            .exchange(&metadata, &exchange)
+            .await
+            .map_err(issuer_error)?;
         let expected = Expected {
             issuer: &self.options.issuer,
             client_id: &self.options.client_id,
-            nonce: &trip.nonce,
+            nonce: &sign_in.nonce,
         };
         let claims = match Claims::check(&token, &keys, &expected) {
-            // The issuer may have new keys.
+            // Retries with a fresh list of keys, because the issuer may have a new key since the list was cached.
             Err(ClaimsError::UnknownKey) => {
-                let (_, keys) = self.provider.metadata(true).await.map_err(away)?;
+                let (_, keys) = self.provider.metadata(true).await.map_err(issuer_error)?;
                 Claims::check(&token, &keys, &expected)
             }
             checked => checked,
         };
         let claims = claims.map_err(|error| {
-            refused("the issuer's word for you is not to be believed, the server's log says why").because(error)
+            refused("the ID token of the issuer is not valid, the server's log says why").because(error)
         })?;
-        self.vouched(&claims)
+        self.confirmed_user(&claims)
     }
 
-    fn vouched(&self, claims: &Claims) -> Result<ConfirmedUser, ApiError> {
+    /// Returns the user of valid claims.
+    ///
+    /// # Errors
+    /// No group of the user has a role.
+    fn confirmed_user(&self, claims: &Claims) -> Result<ConfirmedUser, ApiError> {
         let groups = claims.names(&self.options.groups_claim);
-        let of_mine = self
+        let matching = self
             .options
             .roles
             .iter()
-            .filter(|of| of.group == "*" || groups.contains(&of.group.as_str()));
-        let roles: Vec<Role> = of_mine.flat_map(|of| Vec::from(of.roles)).collect();
+            .filter(|entry| entry.group == "*" || groups.contains(&entry.group.as_str()));
+        let roles: Vec<Role> = matching.flat_map(|entry| Vec::from(entry.roles)).collect();
         if roles.is_empty() {
-            let message = "you are signed in, but none of your groups has a role here: who runs the server gives them with --oidc-role";
+            let message = "you are signed in, but none of your groups has a role on this server: its operator gives roles with --oidc-role";
             return Err(ApiError::new(StatusCode::FORBIDDEN, "forbidden", message));
         }
         Ok(ConfirmedUser {
-            // The prefix separates these users from those of named tokens, who may have the same name.
+            // The prefix distinguishes these users from users of named tokens, whose names could be the same.
             user: format!("oidc:{}", claims.sub),
             roles: roles.into(),
         })
     }
 
-    /// Returns the address at which the user also signs out at the issuer (RP-Initiated Logout 1.0). `None` if the issuer states none or
-    /// cannot be reached.
+    /// Returns the address at which the user also signs out at the issuer (RP-Initiated Logout 1.0). Returns `None` if the issuer has no
+    /// such address or cannot be reached.
     pub(super) async fn sign_out(&self) -> Option<String> {
         let (metadata, _) = self.provider.metadata(false).await.ok()?;
         let mut address = metadata.end_session_endpoint?.0;
@@ -237,11 +246,12 @@ impl Oidc {
         Some(address.into())
     }
 
-    /// Returns the home address with words that the page shows.
-    pub(super) fn home_with(&self, words: &str) -> String {
-        format!("{}#sign-in-failed={}", self.home, form_value(words))
+    /// Returns the address of the page with the reason of a failed sign-in, which the page shows.
+    pub(super) fn home_with(&self, reason: &str) -> String {
+        format!("{}#sign-in-failed={}", self.home, form_value(reason))
     }
 
+    /// Returns the address to which the issuer redirects browsers.
     fn redirect(&self) -> String {
         format!("{}{CALLBACK}", self.home)
     }
@@ -251,8 +261,8 @@ fn refused(message: &str) -> ApiError {
     ApiError::new(StatusCode::UNAUTHORIZED, "unauthorized", message)
 }
 
-fn away(error: ProviderError) -> ApiError {
-    let message = "the issuer cannot be asked now, the server's log says why: try again, or use a token";
+fn issuer_error(error: ProviderError) -> ApiError {
+    let message = "the request to the issuer failed, the server's log says why: try again, or use a token";
     ApiError::new(StatusCode::BAD_GATEWAY, "issuer", message).because(error)
 }
 

@@ -1,6 +1,8 @@
-//! Sign-ins in progress at an issuer. The browser keeps a secret in a cookie. All other values of the sign-in are derived from it with a
-//! key of the server. The server stores nothing for a sign-in in progress, so that thousands of clients who begin one cannot make another
-//! user's fail. A response of the issuer that arrives in another browser is refused.
+//! Sign-ins in progress at an issuer.
+//!
+//! The browser keeps a secret in a cookie, and the server derives all other values of the sign-in from this secret with a key. So the
+//! server stores nothing for a sign-in in progress, and clients who begin thousands of sign-ins cannot make those of other users fail. The
+//! server refuses a response of the issuer that arrives in another browser, because the secret is missing.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -14,39 +16,39 @@ use subtle::ConstantTimeEq;
 
 use crate::access::token::TokenError;
 
-/// Maximum duration of a sign-in: time for a password and a second factor.
+/// Maximum duration of a sign-in. Enough time for a password and a second factor.
 pub(in crate::access) const LIFETIME: Duration = Duration::from_secs(600);
-/// Maximum completed sign-ins that are remembered. Beyond it the oldest are forgotten, because issuers accept a code only once anyway.
+/// Maximum number of completed sign-ins that are remembered. The oldest is forgotten first; issuers accept a code only once anyway.
 const MAX_USED: usize = 4_096;
 const RANDOM_BYTES: usize = 32;
 
-/// A sign-in that has begun.
+/// The values of a sign-in in progress that are sent to the issuer.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct PendingSignIn {
     pub nonce: String,
-    /// PKCE's code verifier (RFC 7636).
+    /// Code verifier of PKCE (RFC 7636).
     pub verifier: String,
 }
 
 impl PendingSignIn {
-    /// Returns PKCE's code challenge.
+    /// Returns the code challenge of PKCE.
     pub(super) fn challenge(&self) -> String {
         URL_SAFE_NO_PAD.encode(Sha256::digest(&self.verifier))
     }
 }
 
-/// The key of all sign-ins, and the completed ones. Clones share them.
+/// The key from which sign-ins are derived, and the completed sign-ins. Clones share both.
 #[derive(Clone, Debug)]
 pub(super) struct PendingSignIns {
     key: Arc<Key>,
-    /// Time from which the times in secrets are counted.
+    /// Start of the times in secrets.
     epoch: Instant,
-    /// Begin of each sign-in that was completed, by its state.
+    /// Begin of each completed sign-in, by its state.
     used: Arc<Mutex<HashMap<String, Instant>>>,
 }
 
 impl PendingSignIns {
-    /// Makes a random key.
+    /// Generates a random key.
     pub(super) fn new() -> Result<Self, TokenError> {
         let mut key = [0; RANDOM_BYTES];
         getrandom::fill(&mut key)?;
@@ -57,19 +59,19 @@ impl PendingSignIns {
         })
     }
 
-    /// Begins a sign-in. Returns the secret for the browser, the state, and the values that are sent to the issuer.
+    /// Begins a sign-in. Returns the secret for the browser, the state, and the other values for the issuer.
     pub(super) fn begin(&self, now: Instant) -> Result<(String, String, PendingSignIn), TokenError> {
         let age = now.saturating_duration_since(self.epoch).as_secs();
         let secret = format!("{}.{age}", random()?);
         let state = self.derive("state", &secret);
-        let trip = self.trip(&secret);
-        Ok((secret, state, trip))
+        let sign_in = self.derive_sign_in(&secret);
+        Ok((secret, state, sign_in))
     }
 
-    /// Completes a sign-in whose browser has brought back this secret. `None` if the state does not belong to the secret, the sign-in took
-    /// longer than [`LIFETIME`], or the secret was used before.
+    /// Completes the sign-in of a secret. Returns `None` if the state does not belong to the secret, the sign-in took longer than
+    /// [`LIFETIME`], or the secret was used before.
     pub(super) fn end(&self, secret: &str, state: &str, now: Instant) -> Option<PendingSignIn> {
-        // Only the matching state proves that the server has made this secret, and when.
+        // Comes first: only a matching state proves that the server has issued this secret, including the time in it.
         let expected = self.derive("state", secret);
         if !bool::from(expected.as_bytes().ct_eq(state.as_bytes())) {
             return None;
@@ -93,21 +95,23 @@ impl PendingSignIns {
             used.remove(&oldest);
         }
         used.insert(expected, begun);
-        Some(self.trip(secret))
+        Some(self.derive_sign_in(secret))
     }
 
-    fn trip(&self, secret: &str) -> PendingSignIn {
+    fn derive_sign_in(&self, secret: &str) -> PendingSignIn {
         PendingSignIn {
             nonce: self.derive("nonce", secret),
             verifier: self.derive("verifier", secret),
         }
     }
 
-    fn derive(&self, what: &str, secret: &str) -> String {
-        URL_SAFE_NO_PAD.encode(sign(&self.key, format!("{what} {secret}").as_bytes()))
+    /// Derives the value `name` of a sign-in from its secret.
+    fn derive(&self, name: &str, secret: &str) -> String {
+        URL_SAFE_NO_PAD.encode(sign(&self.key, format!("{name} {secret}").as_bytes()))
     }
 }
 
+/// Returns 256 random bits in base64.
 pub(in crate::access) fn random() -> Result<String, TokenError> {
     let mut bytes = [0; RANDOM_BYTES];
     getrandom::fill(&mut bytes)?;

@@ -1,5 +1,5 @@
-//! An issuer's metadata (OpenID Connect Discovery 1.0) and the requests to it. The issuer is contacted only when a user signs in or out:
-//! if it cannot be reached, other requests do not wait for it.
+//! Requests to an issuer, and its metadata (OpenID Connect Discovery 1.0). The server contacts the issuer only when a user signs in or out,
+//! so that an unreachable issuer does not delay other requests.
 
 use std::time::{Duration, Instant};
 
@@ -12,35 +12,36 @@ use tokio::sync::Mutex;
 
 use crate::error::chain;
 
-/// Maximum time for an answer of the issuer.
+/// Maximum time for a response of the issuer.
 const TIMEOUT: Duration = Duration::from_secs(10);
-/// Maximum bytes of an answer, which has keys and addresses.
-const MAX_ANSWER_BYTES: usize = 1 << 20;
-/// How long the issuer's metadata and keys are cached.
+/// Maximum bytes of a response. Metadata and keys have some kilobytes.
+const MAX_RESPONSE_BYTES: usize = 1 << 20;
+/// Lifetime of the cached metadata and keys.
 const LIFETIME: Duration = Duration::from_secs(3600);
 
 /// Why a request to the issuer failed.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum ProviderError {
     #[error("the issuer does not answer")]
-    Away(#[from] reqwest::Error),
-    #[error("the issuer answers {what} with {status}")]
+    Unreachable(#[from] reqwest::Error),
+    #[error("the issuer answers a request for {what} with status {status}")]
     Status { what: &'static str, status: StatusCode },
-    #[error("the issuer's answer to {what} is longer than {MAX_ANSWER_BYTES} bytes")]
+    #[error("the issuer answers a request for {what} with more than {MAX_RESPONSE_BYTES} bytes")]
     TooLong { what: &'static str },
-    #[error("the issuer's answer to {what} is not what it should be")]
+    #[error("the issuer answers a request for {what} with invalid JSON or missing values")]
     Malformed {
         what: &'static str,
         #[source]
         source: serde_json::Error,
     },
-    #[error("the issuer was asked for another sign-in, in vain: {0}")]
+    /// A concurrent sign-in has sent the same request, which failed.
+    #[error("the same request of another sign-in failed: {0}")]
     Failed(String),
-    #[error("the issuer calls itself {found:?}, expected {expected:?}")]
+    #[error("the metadata of the issuer names the issuer {found:?}, expected {expected:?}")]
     OtherIssuer { found: String, expected: String },
 }
 
-/// An address of the issuer. It must be encrypted or on this machine.
+/// An address of the issuer. It has the scheme `https`, or is on this machine.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(try_from = "String")]
 pub(super) struct Endpoint(pub Url);
@@ -68,12 +69,14 @@ pub(super) struct Metadata {
     token_endpoint_auth_methods_supported: Vec<String>,
 }
 
-/// Values that are sent to exchange a code for an ID token.
+/// Values of the request that exchanges a code for an ID token.
 pub(super) struct Exchange<'a> {
     pub client_id: &'a str,
     pub client_secret: Option<&'a str>,
     pub code: &'a str,
+    /// Code verifier of PKCE.
     pub verifier: &'a str,
+    /// Address to which the issuer has redirected the browser.
     pub redirect: &'a str,
 }
 
@@ -87,59 +90,60 @@ struct Tokens {
 pub(super) struct Provider {
     issuer: String,
     http: Client,
-    /// Locked during a request to the issuer, so that concurrent sign-ins send one request.
-    pub(super) known: Mutex<Known>,
+    /// Locked during a request to the issuer, so that concurrent sign-ins share one request.
+    pub(super) cache: Mutex<Cache>,
 }
 
-/// The last answer or failure of an issuer, with its time.
+/// The latest metadata and keys of an issuer, and the latest failure.
 #[derive(Debug, Default)]
-pub(super) struct Known {
+pub(super) struct Cache {
+    /// Time of the response, metadata and keys.
     pub answer: Option<(Instant, Metadata, JwkSet)>,
-    /// When the last request failed, and why; `None` if it succeeded.
+    /// Time and reason of the failure; `None` if the last request succeeded.
     failure: Option<(Instant, String)>,
 }
 
 impl Provider {
     pub(super) fn new(issuer: String) -> Result<Self, ProviderError> {
-        // Fails if the process already has a default provider, which is fine.
+        // An error is ignored: the process already has a default provider.
         let _ = rustls::crypto::ring::default_provider().install_default();
-        // Do not follow redirections: they could lead to another server.
+        // Does not follow redirects, because they could lead to another server.
         let http = Client::builder()
             .timeout(TIMEOUT)
             .redirect(reqwest::redirect::Policy::none());
         Ok(Self {
             issuer,
             http: http.build()?,
-            known: Mutex::default(),
+            cache: Mutex::default(),
         })
     }
 
-    /// Returns the issuer's metadata and keys. They come from the cache unless it has expired, or the caller states that it is `stale`.
-    pub(super) async fn metadata(&self, stale: bool) -> Result<(Metadata, JwkSet), ProviderError> {
+    /// Returns metadata and keys of the issuer. Uses the cache unless it has expired, or the caller knows that it `is_stale`.
+    pub(super) async fn metadata(&self, is_stale: bool) -> Result<(Metadata, JwkSet), ProviderError> {
         let arrived = Instant::now();
-        let mut known = self.known.lock().await;
-        if let Some((since, metadata, keys)) = &known.answer
+        let mut cache = self.cache.lock().await;
+        if let Some((since, metadata, keys)) = &cache.answer
             && since.elapsed() < LIFETIME
-            && !stale
+            && !is_stale
         {
             return Ok((metadata.clone(), keys.clone()));
         }
-        // A request has failed while this one waited for the lock, so it is not repeated.
-        if let Some((when, why)) = &known.failure
+        // Does not repeat a request that has failed while this call waited for the lock.
+        if let Some((when, why)) = &cache.failure
             && *when >= arrived
         {
             return Err(ProviderError::Failed(why.clone()));
         }
-        let asked = self.ask().await;
-        known.failure = asked.as_ref().err().map(|error| (Instant::now(), chain(error)));
-        let (metadata, keys) = asked?;
-        known.answer = Some((Instant::now(), metadata.clone(), keys.clone()));
+        let fetched = self.fetch_metadata().await;
+        cache.failure = fetched.as_ref().err().map(|error| (Instant::now(), chain(error)));
+        let (metadata, keys) = fetched?;
+        cache.answer = Some((Instant::now(), metadata.clone(), keys.clone()));
         Ok((metadata, keys))
     }
 
-    async fn ask(&self) -> Result<(Metadata, JwkSet), ProviderError> {
+    async fn fetch_metadata(&self) -> Result<(Metadata, JwkSet), ProviderError> {
         let address = format!("{}/.well-known/openid-configuration", self.issuer.trim_end_matches('/'));
-        let metadata: Metadata = get(self.http.get(address), "where it is").await?;
+        let metadata: Metadata = get(self.http.get(address), "its metadata").await?;
         if metadata.issuer != self.issuer {
             return Err(ProviderError::OtherIssuer {
                 found: metadata.issuer,
@@ -151,36 +155,38 @@ impl Provider {
     }
 
     /// Exchanges a code for an ID token.
-    pub(super) async fn exchange(&self, metadata: &Metadata, what: &Exchange<'_>) -> Result<String, ProviderError> {
+    pub(super) async fn exchange(&self, metadata: &Metadata, values: &Exchange<'_>) -> Result<String, ProviderError> {
         let mut form = vec![
             ("grant_type", "authorization_code"),
-            ("code", what.code),
-            ("code_verifier", what.verifier),
-            ("redirect_uri", what.redirect),
+            ("code", values.code),
+            ("code_verifier", values.verifier),
+            ("redirect_uri", values.redirect),
         ];
         let methods = &metadata.token_endpoint_auth_methods_supported;
-        let in_form = methods.iter().any(|method| method == "client_secret_post")
+        let is_secret_in_form = methods.iter().any(|method| method == "client_secret_post")
             && !methods.iter().any(|method| method == "client_secret_basic");
         let mut request = self.http.post(metadata.token_endpoint.0.clone());
-        match what.client_secret {
-            Some(secret) if in_form => form.extend([("client_id", what.client_id), ("client_secret", secret)]),
-            // Encoded as in a form, by RFC 6749, section 2.3.1.
-            Some(secret) => request = request.basic_auth(form_value(what.client_id), Some(form_value(secret))),
-            None => form.push(("client_id", what.client_id)),
+        match values.client_secret {
+            Some(secret) if is_secret_in_form => {
+                form.extend([("client_id", values.client_id), ("client_secret", secret)]);
+            }
+            // RFC 6749, section 2.3.1, demands the encoding of a form.
+            Some(secret) => request = request.basic_auth(form_value(values.client_id), Some(form_value(secret))),
+            None => form.push(("client_id", values.client_id)),
         }
         let body = form.iter().map(|(name, value)| format!("{name}={}", form_value(value)));
         let request = request
             .header("content-type", "application/x-www-form-urlencoded")
             .body(body.collect::<Vec<_>>().join("&"));
-        let tokens: Tokens = get(request, "a code").await?;
+        let tokens: Tokens = get(request, "an ID token").await?;
         Ok(tokens.id_token)
     }
 }
 
-/// Whether an address is encrypted, or on this machine.
+/// Whether an address has the scheme `https`, or is on this machine.
 pub(super) fn is_safe(address: &Url) -> bool {
-    let is_here = matches!(address.host_str(), Some("localhost" | "127.0.0.1" | "[::1]"));
-    address.scheme() == "https" || (address.scheme() == "http" && is_here)
+    let is_local = matches!(address.host_str(), Some("localhost" | "127.0.0.1" | "[::1]"));
+    address.scheme() == "https" || (address.scheme() == "http" && is_local)
 }
 
 /// Encodes a value of `application/x-www-form-urlencoded`.
@@ -188,6 +194,7 @@ pub(super) fn form_value(text: &str) -> String {
     percent_encoding::utf8_percent_encode(text, percent_encoding::NON_ALPHANUMERIC).to_string()
 }
 
+/// Sends a request, and parses the JSON of the response. `what` names the requested value in errors.
 async fn get<T: DeserializeOwned>(request: RequestBuilder, what: &'static str) -> Result<T, ProviderError> {
     let mut response = request.header(ACCEPT, "application/json").send().await?;
     let status = response.status();
@@ -196,7 +203,7 @@ async fn get<T: DeserializeOwned>(request: RequestBuilder, what: &'static str) -
     }
     let mut bytes = Vec::new();
     while let Some(chunk) = response.chunk().await? {
-        if bytes.len() + chunk.len() > MAX_ANSWER_BYTES {
+        if bytes.len() + chunk.len() > MAX_RESPONSE_BYTES {
             return Err(ProviderError::TooLong { what });
         }
         bytes.extend(chunk);

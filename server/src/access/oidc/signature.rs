@@ -1,4 +1,4 @@
-//! Signatures of tokens by ring, which TLS uses too: RSA and P-256, no others.
+//! Verifies the signatures of ID tokens with ring, which TLS uses too. Supports RSA and P-256 only.
 
 use std::sync::Once;
 
@@ -11,7 +11,7 @@ use ring::signature::{
     UnparsedPublicKey,
 };
 
-/// The asymmetric algorithms of OpenID Connect that issuers use. Excludes signatures by a client's secret, and `none`.
+/// The asymmetric algorithms that issuers use. Excludes HMAC with the client secret, and `none`.
 pub(super) const ALGORITHMS: [Algorithm; 3] = [Algorithm::RS256, Algorithm::ES256, Algorithm::PS256];
 
 static PROVIDER: CryptoProvider = CryptoProvider {
@@ -20,10 +20,10 @@ static PROVIDER: CryptoProvider = CryptoProvider {
     jwk_utils: JwkUtils::new_unimplemented(),
 };
 
-/// Installs ring as the process's provider of signature checks.
+/// Makes `jsonwebtoken` verify signatures with ring.
 pub(super) fn install() {
     static ONCE: Once = Once::new();
-    // Fails if a provider was installed before, which is fine.
+    // An error is ignored: another provider is already installed.
     ONCE.call_once(|| {
         let _ = PROVIDER.install_default();
     });
@@ -68,7 +68,7 @@ fn verifier(algorithm: &Algorithm, key: &DecodingKey) -> Result<Box<dyn JwtVerif
     }))
 }
 
-/// Refuses to sign: the server only checks the tokens of others.
+/// Refuses to sign, because the server only verifies tokens.
 fn no_signer(_: &Algorithm, _: &EncodingKey) -> Result<Box<dyn JwtSigner>> {
     Err(ErrorKind::InvalidAlgorithm.into())
 }

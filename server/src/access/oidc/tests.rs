@@ -338,9 +338,9 @@ async fn who_signs_in_has_the_roles_of_their_groups() {
     let issuer = issuer().await;
     let oidc = oidc(&issuer.address);
     let (secret, state) = go(&oidc, &issuer).await;
-    let vouched = oidc.end(Some(&secret), &state, "a code").await.unwrap();
+    let confirmed = oidc.end(Some(&secret), &state, "a code").await.unwrap();
     assert_eq!(
-        (vouched.user.as_str(), vouched.roles.to_string().as_str()),
+        (confirmed.user.as_str(), confirmed.roles.to_string().as_str()),
         ("oidc:7", "edit, export")
     );
     // What came back is of no use once more, nor in another browser, and no code is none.
@@ -370,7 +370,7 @@ async fn new_keys_of_the_issuer_are_asked_for_when_they_are_met() {
     let oidc = oidc(&issuer.address);
     let (secret, state) = go(&oidc, &issuer).await;
     // With other names, as keys are replaced.
-    if let Some((_, _, keys)) = &mut oidc.provider.known.lock().await.answer {
+    if let Some((_, _, keys)) = &mut oidc.provider.cache.lock().await.answer {
         keys.keys.clear();
     }
     assert!(oidc.end(Some(&secret), &state, "a code").await.is_ok());

@@ -1,4 +1,4 @@
-//! Opens the volumes that the arguments name, and gives each a name for its files.
+//! Opens the volumes that the arguments name, and assigns a name for its files to each volume.
 
 use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
@@ -12,13 +12,13 @@ use crate::export::safe_name;
 pub(super) struct Input {
     /// Path as the user has written it.
     pub path: PathBuf,
-    /// Name of its files without step and extension; no other input has it.
+    /// Name of the files of this volume, without step and extension. No other input has the same name.
     pub name: String,
-    /// The volume, of which only the header was read; the error if it cannot be read.
+    /// The volume, whose samples are not read yet, or the error of its header.
     pub dataset: Result<Dataset, ReadError>,
 }
 
-/// Opens the volumes of all arguments in their order, each once.
+/// Opens the volumes of all arguments, in their order. Skips repeated paths.
 ///
 /// # Errors
 /// A pattern is invalid, or no file matches it.
@@ -51,26 +51,27 @@ fn title_of(path: &Path) -> String {
     path.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// Returns the files that match an argument with `*`, `?` or `[`. Any other argument, an existing path or an address, is returned as it is.
+/// Returns the files that match an argument with `*`, `?` or `[`. Returns an existing path, an address, or any other argument as it is.
 fn expand(argument: &Path) -> Result<Vec<PathBuf>, BatchError> {
     let pattern = argument.to_string_lossy();
     let is_pattern = !argument.exists() && !pattern.contains("://") && pattern.contains(['*', '?', '[']);
     if !is_pattern {
         return Ok(vec![argument.to_owned()]);
     }
-    let found = glob::glob(&pattern).map_err(|source| BatchError::Pattern {
+    let matches = glob::glob(&pattern).map_err(|source| BatchError::Pattern {
         pattern: pattern.clone().into_owned(),
         source,
     })?;
-    // Paths that cannot be accessed are no matches.
-    let paths: Vec<PathBuf> = found.flatten().collect();
+    // Skips paths that cannot be accessed.
+    let paths: Vec<PathBuf> = matches.flatten().collect();
     if paths.is_empty() {
         return Err(BatchError::NoMatch(pattern.into_owned()));
     }
     Ok(paths)
 }
 
-/// Returns distinct names of files for volumes of these paths and titles: the title, preceded by as many names of folders as are needed.
+/// Returns distinct file names for volumes with these paths and titles. A name is the title, preceded by the names of as many folders as
+/// are necessary.
 fn distinct_names(titled: &[(&Path, String)]) -> Vec<String> {
     let deepest = titled
         .iter()
@@ -95,7 +96,7 @@ fn distinct_names(titled: &[(&Path, String)]) -> Vec<String> {
             }
         }
     }
-    // Folders do not distinguish several volumes of one file, nor names that become equal as file names.
+    // Folders cannot distinguish several volumes in one file, or names that are equal after `safe_name`.
     number_duplicates(&mut names);
     names
 }
@@ -106,26 +107,26 @@ fn qualified_name(path: &Path, title: &str, folders: usize) -> String {
     let parents: Vec<String> = parents
         .map(|part| part.as_os_str().to_string_lossy().into_owned())
         .collect();
-    let before = parents[parents.len().saturating_sub(folders)..]
+    let innermost = parents[parents.len().saturating_sub(folders)..]
         .iter()
         .map(String::as_str);
-    let parts: Vec<String> = before.chain([title]).map(safe_name).collect();
+    let parts: Vec<String> = innermost.chain([title]).map(safe_name).collect();
     parts.join("-")
 }
 
-/// Appends `-2`, `-3` and so on to names that an earlier one equals.
+/// Appends `-2`, `-3` and so on to names that are equal to an earlier name.
 fn number_duplicates(names: &mut [String]) {
     let mut taken = HashSet::new();
     for name in names {
         let numbered = (2..).map(|n| format!("{name}-{n}"));
-        let free = std::iter::once(name.clone())
+        let unused = std::iter::once(name.clone())
             .chain(numbered)
             .find(|name| taken.insert(fold_case(name)));
-        *name = free.unwrap_or_default();
+        *name = unused.unwrap_or_default();
     }
 }
 
-/// Returns the name in lower case, because some file systems ignore case.
+/// Returns a key for comparing file names: the name in lower case, because some file systems ignore case.
 pub(super) fn fold_case(name: &str) -> String {
     name.to_ascii_lowercase()
 }

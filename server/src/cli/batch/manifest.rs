@@ -1,5 +1,5 @@
-//! The manifest of a batch: a line of JSON for the outcome of each volume and time step. A line is written as soon as the outcome is
-//! known, so that the same command can resume.
+//! The manifest of a batch: a line of JSON for each volume and time step. The line is written as soon as the outcome is known, so that a
+//! repeated command continues an interrupted batch.
 
 use std::collections::HashMap;
 use std::fs::{File, TryLockError};
@@ -16,12 +16,12 @@ use crate::private_folder;
 /// A line of the manifest.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Line {
-    /// The volume, as the command line names it.
+    /// Path of the volume as on the command line.
     pub volume: String,
     /// The time step.
     pub step: u32,
-    /// Hash of everything in volume, request and program that determines the file's bytes; `None` if the volume cannot be read or is a
-    /// store over a network.
+    /// Hash of volume, request and program version, which determine the bytes of the file. `None` if the volume cannot be read, or is on a
+    /// network store.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub identity: Option<String>,
     /// The outcome.
@@ -29,11 +29,11 @@ pub(super) struct Line {
     pub entry: ManifestEntry,
 }
 
-/// The manifest of an output folder. It is locked, so that no other process writes to the folder at the same time.
+/// The manifest of an output folder. Its file is locked, so that no other process writes to the folder at the same time.
 pub(super) struct Manifest {
     folder: PathBuf,
     file: File,
-    /// Lines that earlier commands have written, by the names of their files.
+    /// Lines that earlier commands have written, by file names.
     earlier: HashMap<String, Line>,
 }
 
@@ -41,7 +41,7 @@ impl Manifest {
     /// Opens the manifest of a folder, and removes temporary files that a killed process has left.
     ///
     /// # Errors
-    /// It cannot be read or written, or another process writes it.
+    /// The manifest cannot be read or written, or another process has locked it.
     pub(super) fn open(folder: &Path) -> io::Result<Self> {
         let path = folder.join(MANIFEST_FILE);
         let file = File::options().create(true).append(true).open(&path)?;
@@ -51,7 +51,7 @@ impl Manifest {
                 let why = "another isopeel batch writes to this folder: wait for its end, or name another folder";
                 return Err(io::Error::new(io::ErrorKind::ResourceBusy, why));
             }
-            // The file system has no locks: continue without one.
+            // Continues without a lock if the file system does not support locks.
             Err(TryLockError::Error(error)) => tracing::warn!(%error, "the manifest cannot be locked"),
         }
         for entry in std::fs::read_dir(folder)?.flatten() {
@@ -60,7 +60,7 @@ impl Manifest {
             }
         }
         let text = std::fs::read(&path)?;
-        // Skips the last line if it was cut off, and lines of batch jobs, which have no volume.
+        // Skips a truncated last line, and lines of batch jobs, which name no volume.
         let lines = text
             .split(|&byte| byte == b'\n')
             .flat_map(serde_json::from_slice::<Line>);
@@ -78,8 +78,8 @@ impl Manifest {
         Ok(manifest)
     }
 
-    /// Returns the line of a file that an earlier command has made of the input with this identity; `None` if there is none, or if the file
-    /// has changed since. Reads the whole file for its checksum.
+    /// Returns the line of a file that an earlier command has made from input with this identity. Returns `None` if there is no such line,
+    /// or if the file has changed since. Reads the whole file to compare its checksum.
     pub(super) fn find_finished(&self, file: &str, identity: &str) -> Option<Line> {
         let line = self.earlier.get(file)?;
         let is_same = line.entry.state == ExtractionState::Done && line.identity.as_deref() == Some(identity);
@@ -87,7 +87,7 @@ impl Manifest {
         (checksum_of(&self.folder.join(file)).as_ref() == Some(expected)).then(|| line.clone())
     }
 
-    /// Whether an earlier command has written a line for a file of this name.
+    /// Whether an earlier command has written a line for a file with this name.
     pub(super) fn contains(&self, file: &str) -> bool {
         self.earlier.contains_key(file)
     }
@@ -102,7 +102,7 @@ impl Manifest {
         (&self.file).write_all(&text)
     }
 
-    /// Replaces the manifest by these lines: those of all files, in the order of the command line.
+    /// Replaces the manifest by these lines.
     ///
     /// # Errors
     /// The manifest cannot be written.

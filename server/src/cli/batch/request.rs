@@ -15,7 +15,7 @@ use crate::cli::jobs::{
 };
 use crate::jobs::{JobInfo, JobRequest, JobState, Jobs, Limits, OPERATOR, StateFolder, file_name};
 
-/// Folder of the job store below the output folder, unless `--state-folder` names another one. It is removed when the job is done.
+/// Default state folder, below the output folder. It is removed when the job is done.
 const STATE_FOLDER: &str = ".isopeel-batch";
 
 /// Runs the job of a request file, and waits for its end.
@@ -41,7 +41,7 @@ pub(super) fn run(args: &Args, file: &Path) -> Result<(), BatchError> {
         let mut interrupt = Interrupt::new()?;
         let worker = args.worker(types)?;
         let stop = CancellationToken::new();
-        // The store has signed 64-bit numbers.
+        // The maximum of SQLite's integers, which are signed.
         let unlimited = Limits {
             quota_bytes: i64::MAX as u64,
         };
@@ -57,7 +57,7 @@ pub(super) fn run(args: &Args, file: &Path) -> Result<(), BatchError> {
         outcome
     })?;
     if args.state_folder.is_none() {
-        // Its results were moved to the output folder, and its job was deleted.
+        // Nothing of value is left: the results were moved to the output folder, and the job was deleted.
         let _ = std::fs::remove_dir_all(own_folder);
     }
     Ok(())
@@ -67,7 +67,7 @@ fn read_request(file: &Path) -> io::Result<JobRequest> {
     Ok(serde_json::from_slice(&read_request_file(file)?)?)
 }
 
-/// Returns the path of a volume that a request file names: relative to the folder of that file, unless it is an address.
+/// Returns the path of a volume that a request file names. The name is an address, or a path relative to the folder of the request file.
 fn resolve_path(file: &Path, name: &str) -> PathBuf {
     if name.contains("://") {
         return name.into();
@@ -92,7 +92,7 @@ async fn run_job(jobs: &Jobs, request: JobRequest, output: &Path) -> Result<(), 
     let manifest = output.join(MANIFEST_FILE);
     write_manifest(&manifest, &entries).map_err(|source| BatchError::Output { path: manifest, source })?;
     for (extraction, extension) in (0..).zip(extensions) {
-        // None if the extraction failed, is empty, or its result was moved before an interruption.
+        // There is no file if the extraction has failed, the surface is empty, or an interrupted command has moved the file.
         let Some(result) = jobs.result_path(&job.id, extraction) else {
             continue;
         };
@@ -114,8 +114,8 @@ async fn run_job(jobs: &Jobs, request: JobRequest, output: &Path) -> Result<(), 
     Err(BatchError::Failed(why + &first))
 }
 
-/// Submits a job with a hash of its request as idempotency key, so that the same request continues an interrupted job. If the earlier job
-/// has failed or was cancelled, deletes it and submits a new one.
+/// Submits a job. The idempotency key is a hash of the request, so that the same request continues an interrupted job. A job that has
+/// failed or was cancelled is deleted and submitted again.
 async fn submit(jobs: &Jobs, request: JobRequest) -> Result<JobInfo, BatchError> {
     let text = serde_json::to_vec(&request).map_err(io::Error::from)?;
     let operator = Reader::new(OPERATOR, true);
@@ -147,7 +147,7 @@ async fn wait(jobs: &Jobs, id: &str) -> Result<JobInfo, BatchError> {
     }
 }
 
-/// Moves a file. Copies it if the target is on another disk.
+/// Moves a file, or copies it if the target is on another disk.
 fn move_file(from: &Path, to: &Path) -> io::Result<()> {
     match std::fs::rename(from, to) {
         Err(error) if error.kind() == io::ErrorKind::CrossesDevices => {

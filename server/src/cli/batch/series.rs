@@ -1,4 +1,4 @@
-//! Collections of ParaView (`.pvd`): the files of a volume's time steps with their times.
+//! ParaView collections (`.pvd`), which list the files of a volume's time steps with their times.
 
 use std::collections::HashSet;
 use std::io;
@@ -8,11 +8,11 @@ use isopeel_volumes::Dataset;
 
 use crate::cli::output::write_whole;
 
-/// The files of a volume's time steps.
+/// The files of the time steps of a volume.
 pub(super) struct Series {
-    /// Name of the collection's file, without extension.
+    /// Name of the collection file, without extension.
     name: String,
-    /// Time and file name of each step. The time is that of the dataset, or else the number of the step.
+    /// Time and file name of each step. The time is the number of the step if the dataset has no times.
     times: Vec<(f64, String)>,
 }
 
@@ -27,15 +27,15 @@ impl Series {
         Self { name, times }
     }
 
-    /// Writes `NAME.pvd` into `folder`, with those files that are in `made`. Writes nothing if there are fewer than two.
+    /// Writes `NAME.pvd` into `folder`. The collection lists only files in `existing`. Writes nothing if these are fewer than two.
     ///
     /// # Errors
     /// The file cannot be written.
-    pub(super) fn write(&self, folder: &Path, made: &HashSet<&str>) -> io::Result<()> {
+    pub(super) fn write(&self, folder: &Path, existing: &HashSet<&str>) -> io::Result<()> {
         let steps: Vec<_> = self
             .times
             .iter()
-            .filter(|(_, file)| made.contains(file.as_str()))
+            .filter(|(_, file)| existing.contains(file.as_str()))
             .collect();
         if steps.len() < 2 {
             return Ok(());
@@ -44,7 +44,7 @@ impl Series {
             "<?xml version=\"1.0\"?>\n<VTKFile type=\"Collection\" version=\"1.0\" byte_order=\"LittleEndian\">\n<Collection>\n",
         );
         for (time, file) in steps {
-            // `safe_name` has replaced all characters that XML would need escaped.
+            // No need to escape: `safe_name` has replaced all characters that are special in XML.
             text += &format!("<DataSet timestep=\"{time}\" group=\"\" part=\"0\" file=\"{file}\"/>\n");
         }
         text += "</Collection>\n</VTKFile>\n";

@@ -1,14 +1,14 @@
-//! Time steps by their numbers.
+//! The option `--steps`.
 
 use std::ops::RangeInclusive;
 use std::str::FromStr;
 
-/// Time steps of a volume.
+/// A selection of time steps.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Steps {
-    /// All that it has.
+    /// All steps.
     All,
-    /// Those of these ranges.
+    /// The steps in these ranges.
     Ranges(Vec<RangeInclusive<u32>>),
 }
 
@@ -32,13 +32,13 @@ impl FromStr for Steps {
 }
 
 impl Steps {
-    /// Those of `count` steps, in their order.
+    /// Returns the selected steps of a volume with `count` steps, in ascending order.
     pub(super) fn of(&self, count: u32) -> Vec<u32> {
-        let holds = |step: &u32| match self {
+        let is_selected = |step: &u32| match self {
             Self::All => true,
             Self::Ranges(ranges) => ranges.iter().any(|range| range.contains(step)),
         };
-        (0..count).filter(holds).collect()
+        (0..count).filter(is_selected).collect()
     }
 }
 

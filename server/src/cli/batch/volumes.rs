@@ -1,4 +1,5 @@
-//! The same surface of many volumes and time steps. A failure is recorded, and the others continue.
+//! `isopeel batch` with volumes: makes the same surface of many volumes and time steps. A failed surface is recorded and does not end the
+//! batch.
 
 use std::collections::{BTreeSet, HashSet};
 use std::io;
@@ -25,19 +26,18 @@ use crate::export::{self, FileRequest, Format, MadeFile, OtherVolumes};
 use crate::jobs::{Cause, ExtractionState, MAX_ATTEMPTS, MakeFailure, ManifestEntry, failure};
 use crate::service::DeviceWorker;
 
-/// Surfaces that are worked on at a time: while one is on the device, the file of the one before is written, or the volume of the next one is
-/// read.
-const AT_ONCE: usize = 2;
+/// Number of concurrent surfaces. While the device makes one, the previous file is written, or the next volume is read.
+const CONCURRENT_SURFACES: usize = 2;
 
-/// Time between attempts if the device has too much to do.
+/// Time between attempts while the device is busy.
 const PAUSE: Duration = Duration::from_secs(1);
 
-/// A volume and time step.
+/// A volume and time step of which a surface is made.
 struct Item {
-    /// As the volume was named.
+    /// Path of the volume as on the command line.
     volume: String,
     step: u32,
-    /// The time step with the name of its file, or why there is none.
+    /// The time step and its file name, or why the time step cannot be used.
     opened: Result<(VolumeStep, String), Cause>,
 }
 
@@ -56,7 +56,7 @@ pub(super) fn run(args: &Args) -> Result<(), BatchError> {
     let surface = args.surface.clone().unwrap_or_default();
     let format = surface.format.ok_or(BatchError::NoFormat)?;
     let request = surface.request(format, 0)?;
-    // Options that are invalid for every volume end the command before any volume is read.
+    // Refuses options that are invalid for every volume before it reads any volume.
     request.check_alone()?;
     let inputs = open_all(&args.inputs)?;
     args.create_folder()?;
@@ -91,33 +91,33 @@ pub(super) fn run(args: &Args) -> Result<(), BatchError> {
     })?;
     manifest.rewrite(&lines).map_err(output)?;
     if format == Format::Vtp {
-        let made = lines.iter().filter_map(|line| line.entry.file.as_deref()).collect();
+        let existing = lines.iter().filter_map(|line| line.entry.file.as_deref()).collect();
         series
             .iter()
-            .try_for_each(|series| series.write(&args.output, &made))
+            .try_for_each(|series| series.write(&args.output, &existing))
             .map_err(output)?;
     }
-    summary(&lines)
+    report(&lines)
 }
 
-/// The work of the command.
+/// All items of the command, and what they share.
 #[derive(Default)]
 struct Plan {
     items: Vec<Item>,
     /// Sample types of all fields.
     types: Vec<SampleType>,
-    /// The volumes with several time steps.
+    /// The volumes of which several time steps are selected.
     series: Vec<Series>,
-    /// Keys of the names that files have.
+    /// Keys of the file names that are already used, by [`fold_case`].
     taken: HashSet<String>,
 }
 
 impl Plan {
-    /// Returns the files of a volume's steps, whose names no other volume has, and the name that they begin with. If that name could be
-    /// mistaken for one with a step, a number behind it makes it distinct.
+    /// Returns the prefix of a volume's file names, and the file name of each step. Appends a number to the prefix if another volume
+    /// already uses one of these names, for example because its name looks like a name with a step.
     fn files(&mut self, name: &str, dataset: &Dataset, steps: &[u32], extension: &str) -> (String, Vec<String>) {
         let digits = dataset.steps.saturating_sub(1).to_string().len();
-        let named = |name: String| {
+        let with_files = |name: String| {
             let file_of = |&step: &u32| match dataset.steps {
                 1 => format!("{name}.{extension}"),
                 _ => format!("{name}-{step:0digits$}.{extension}"),
@@ -126,19 +126,19 @@ impl Plan {
             (name, files)
         };
         let numbered = (2..).map(|number| format!("{name}-{number}"));
-        let mut candidates = std::iter::once(name.to_owned()).chain(numbered).map(named);
-        let is_free = |(name, files): &(String, Vec<String>)| {
+        let mut candidates = std::iter::once(name.to_owned()).chain(numbered).map(with_files);
+        let is_unused = |(name, files): &(String, Vec<String>)| {
             let mut all = files.iter().chain([name]).map(|name| fold_case(name));
             all.all(|name| !self.taken.contains(&name))
         };
-        let (name, files) = candidates.find(is_free).unwrap_or_default();
+        let (name, files) = candidates.find(is_unused).unwrap_or_default();
         self.taken
             .extend(files.iter().chain([&name]).map(|name| fold_case(name)));
         (name, files)
     }
 }
 
-/// The items of all inputs in their order.
+/// Returns the items of all inputs, in the order of the command line.
 fn plan(args: &Args, inputs: Vec<Input>, extension: &str, seen: &SeenFiles) -> Plan {
     let all = Steps::All;
     let steps = args.steps.as_ref().unwrap_or(&all);
@@ -159,7 +159,7 @@ fn plan(args: &Args, inputs: Vec<Input>, extension: &str, seen: &SeenFiles) -> P
             }
         };
         dataset.set_frame(args.frame);
-        // Two volumes of one name are not one volume on the device.
+        // Distinguishes volumes with the same id in the caches of the device.
         dataset.revision = revision;
         seen.note(&dataset);
         for sample_type in dataset.fields.iter().map(|field| field.sample_type) {
@@ -192,8 +192,8 @@ fn cause(code: &str, detail: String) -> Cause {
     Cause { code, detail }
 }
 
-/// Says how many surfaces were not made.
-fn summary(lines: &[Line]) -> Result<(), BatchError> {
+/// Returns an error if a surface has failed or all are empty. Otherwise prints how many are empty.
+fn report(lines: &[Line]) -> Result<(), BatchError> {
     let entries: Vec<ManifestEntry> = lines.iter().map(|line| line.entry.clone()).collect();
     let empty = empty_ones(&entries);
     let mut failed = lines.iter().filter(|line| line.entry.state == ExtractionState::Failed);
@@ -216,15 +216,15 @@ fn summary(lines: &[Line]) -> Result<(), BatchError> {
 }
 
 impl Batch<'_> {
-    /// Makes all items, and adds each to the manifest when it has ended.
+    /// Makes all items, and appends a line to the manifest when an item has ended.
     async fn make_all(&self, items: Vec<Item>) -> Result<Vec<Line>, BatchError> {
         self.worker.ready().await?;
         let bar = progress_bar(items.len() as u64);
         let (mut lines, mut failed) = (Vec::with_capacity(items.len()), 0);
-        let made = (0..).zip(items).map(|(number, item)| self.line(number, item));
-        let mut made = futures_util::stream::iter(made).buffered(AT_ONCE);
-        while let Some(made) = made.next().await {
-            let (line, is_new) = made?;
+        let pending = (0..).zip(items).map(|(number, item)| self.line(number, item));
+        let mut outcomes = futures_util::stream::iter(pending).buffered(CONCURRENT_SURFACES);
+        while let Some(outcome) = outcomes.next().await {
+            let (line, is_new) = outcome?;
             if is_new {
                 self.manifest.append(&line).map_err(|source| BatchError::Output {
                     path: self.args.output.clone(),
@@ -240,7 +240,7 @@ impl Batch<'_> {
         Ok(lines)
     }
 
-    /// The line of an item, and whether this command has made it.
+    /// Makes an item, unless an earlier command has made it. Returns the line of the item, and whether it is new.
     async fn line(&self, number: u32, item: Item) -> Result<(Line, bool), BatchError> {
         let mut line = Line {
             volume: item.volume,
@@ -264,11 +264,11 @@ impl Batch<'_> {
                         };
                         return Ok((line, false));
                     }
-                    let made = self.make(&volume, &file, input).await?;
-                    if made.is_err() {
+                    let outcome = self.make(&volume, &file, input).await?;
+                    if outcome.is_err() {
                         self.remove_earlier(&file);
                     }
-                    made
+                    outcome
                 }
             },
         };
@@ -284,14 +284,14 @@ impl Batch<'_> {
         Ok((line, true))
     }
 
-    /// Removes a file that an earlier command has made: it would look like this one's.
+    /// Removes the file of an earlier command, which could be mistaken for a result of this command.
     fn remove_earlier(&self, file: &str) {
         if self.manifest.contains(file) {
             let _ = std::fs::remove_file(self.args.output.join(file));
         }
     }
 
-    /// The files of a time step, as they are now; `None` of a store over a network.
+    /// Returns the identity of the current files of a time step; `None` for a network store.
     async fn input(&self, volume: &VolumeStep) -> Result<Option<InputIdentity>, Cause> {
         let (volume, seen) = (volume.clone(), Arc::clone(&self.seen));
         let identity = move || InputIdentity::of(volume.dataset(), &BTreeSet::from([volume.step()]), &seen);
@@ -303,23 +303,24 @@ impl Batch<'_> {
         }
     }
 
-    /// Returns the hash of everything that determines the bytes of a file.
+    /// Returns the hash of program version, request and input, which determine the bytes of a file.
     fn identity(&self, input: &InputIdentity) -> String {
         let request = serde_json::to_string(&self.request).unwrap_or_default();
-        let what = format!("{} {request} {}", env!("CARGO_PKG_VERSION"), input.content());
-        HEXLOWER.encode(&Sha256::digest(what))
+        let text = format!("{} {request} {}", env!("CARGO_PKG_VERSION"), input.content());
+        HEXLOWER.encode(&Sha256::digest(text))
     }
 
+    /// Returns the line of a file that an earlier command has made from the same input, if the file is unchanged.
     async fn finished(&self, file: &str, identity: Option<&str>) -> Option<Line> {
         let (manifest, file, identity) = (Arc::clone(&self.manifest), file.to_owned(), identity?.to_owned());
-        let looked = tokio::task::spawn_blocking(move || manifest.find_finished(&file, &identity));
-        looked.await.ok().flatten()
+        let task = tokio::task::spawn_blocking(move || manifest.find_finished(&file, &identity));
+        task.await.ok().flatten()
     }
 
     /// Makes the file of a time step.
     ///
     /// # Errors
-    /// Errors that would end all other items too: the folder cannot be written.
+    /// Errors that concern all items: the folder cannot be written.
     async fn make(
         &self,
         volume: &VolumeStep,
@@ -328,11 +329,11 @@ impl Batch<'_> {
     ) -> Result<Result<ManifestEntry, Unmade>, BatchError> {
         let start = Instant::now();
         let output = Output::create_of_batch(&self.args.output.join(file)).map_err(BatchError::Write)?;
-        let made = self.attempts(volume).await;
-        // No other item uses the data of this volume on the device.
+        let outcome = self.attempts(volume).await;
+        // Frees device memory at once, because no other item uses this time step.
         self.worker.release(volume).await;
-        let made = match made {
-            Ok(made) => made,
+        let made_file = match outcome {
+            Ok(made_file) => made_file,
             Err(unmade) => return Ok(Err(unmade)),
         };
         let (dataset, token) = (Arc::clone(volume.dataset()), self.token.clone());
@@ -340,8 +341,8 @@ impl Batch<'_> {
             if let Some(Err(error)) = input.map(|input| input.check_stamps(&dataset)) {
                 return Ok(Err(cause("input-changed", crate::error::chain(&error))));
             }
-            let written = output.with_checksum().write(&made, &token)?;
-            Ok(Ok((written, made.statistics)))
+            let written = output.with_checksum().write(&made_file, &token)?;
+            Ok(Ok((written, made_file.statistics)))
         };
         let written = tokio::task::spawn_blocking(write).await.map_err(io::Error::from)?;
         Ok(match written {
@@ -352,7 +353,7 @@ impl Batch<'_> {
         })
     }
 
-    /// Extracts a surface and makes its file; retries if another attempt may succeed.
+    /// Extracts a surface and makes its file. Retries if another attempt may succeed.
     async fn attempts(&self, volume: &VolumeStep) -> Result<MadeFile, Unmade> {
         let request = FileRequest {
             step: volume.step(),
@@ -361,12 +362,12 @@ impl Batch<'_> {
         let mut attempts = 1;
         loop {
             let error = match export::make(&self.worker, volume, &OtherVolumes::new(), &request, &self.token).await {
-                Ok(made) => return Ok(made),
+                Ok(made_file) => return Ok(made_file),
                 Err(error) => error,
             };
             match failure(error) {
                 MakeFailure::Later => tokio::time::sleep(PAUSE).await,
-                // Reading it again changes nothing.
+                // Does not retry an unreadable volume: its file is the same at the next attempt.
                 MakeFailure::Retry(why) if attempts == MAX_ATTEMPTS || why.code == "unreadable-volume" => {
                     return Err(Unmade::failed(why));
                 }
@@ -381,7 +382,7 @@ impl Batch<'_> {
     }
 }
 
-/// An item without a file.
+/// Why an item has no file.
 struct Unmade {
     state: ExtractionState,
     why: Cause,
@@ -394,7 +395,7 @@ impl Unmade {
     }
 }
 
-/// The entry of a file that was written.
+/// Returns the manifest entry of a file that was written.
 fn entry(file: &str, written: &WrittenFile, statistics: ExtractionStatistics, start: Instant) -> ManifestEntry {
     ManifestEntry {
         state: ExtractionState::Done,

@@ -1,4 +1,4 @@
-//! The cases that are timed, and their output lines.
+//! The cases of the benchmark, except `stream`: times them and prints their lines.
 
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
@@ -26,7 +26,7 @@ struct Timing {
     stages: Vec<StageTime>,
 }
 
-/// A volume with the inputs of its cases.
+/// A volume and the inputs of its cases.
 struct Bench<'a> {
     engine: &'a Engine,
     speed: &'a DeviceSpeed,
@@ -77,7 +77,7 @@ pub(super) fn run(engine: &Engine, speed: &DeviceSpeed, args: &Args, recipe: &Re
 }
 
 impl Bench<'_> {
-    /// The pyramid of the isovalue, after its counts and its mesh were compared with the reference.
+    /// Compares counts and mesh at the recipe's isovalue with the reference. Returns the pyramid.
     fn check(&self) -> Result<Pyramid, BenchError> {
         let counts = count(self.engine, &self.volume, self.recipe.iso)?;
         let pyramid = self.pyramid(self.recipe.iso, None)?;
@@ -103,7 +103,7 @@ impl Bench<'_> {
         Ok(pyramid)
     }
 
-    /// As the server builds it: cells alone for a surface in full, else the whole pyramid.
+    /// Builds a pyramid as the server does: only cells for the full surface, and all levels for any other cut.
     fn pyramid(&self, iso: f32, cut: Option<&CutParams>) -> Result<Pyramid, BenchError> {
         let feature = self.feature.as_ref().map_or(Feature::None, Feature::Field);
         let iso = Isovalue::new(iso)?;
@@ -118,37 +118,41 @@ impl Bench<'_> {
         Ok(self.engine.peel(&self.volume, pyramid, params, Level::FINEST, &Never)?)
     }
 
-    /// The cut that keeps `fraction` of the undecimated triangles, or the minimum.
+    /// Returns the cut that keeps at most `fraction` of the full surface's triangles, or the minimum that decimation can reach.
     fn cut(&self, pyramid: &Pyramid, fraction: f64) -> Result<CutParams, BenchError> {
         let cut = params(self.args, self.recipe);
         if fraction >= 1.0 {
             return Ok(cut);
         }
-        let wanted = (fraction * pyramid.full_triangles() as f64) as u64;
-        Ok(self.engine.fit(&self.volume, pyramid, &cut, wanted, &Never)?.0)
+        let budget = (fraction * pyramid.full_triangles() as f64) as u64;
+        Ok(self.engine.fit(&self.volume, pyramid, &cut, budget, &Never)?.0)
     }
 
-    /// One run to warm up, then the timed ones.
+    /// Runs a case once to warm up, and then `repeats` times. Returns the times of the latter.
     fn time(&self, mut once: impl FnMut(u32) -> Result<Timing, BenchError>) -> Result<Vec<Timing>, BenchError> {
         once(0)?;
         (1..=self.args.repeats).map(once).collect()
     }
 
+    /// Returns the output line of a case without the values of a surface.
     fn line(&self, case: &'static str, runs: &[Timing], bytes_read: Option<u64>) -> Line {
-        let of = |run: &Timing, read_back: bool| -> f64 {
+        let stage_ms = |run: &Timing, read_back: bool| -> f64 {
             let stages = run.stages.iter().filter(|t| (t.stage == READ_BACK) == read_back);
             stages.map(|t| t.milliseconds).sum()
         };
-        let device = spread(runs, |run| of(run, false));
+        let device = spread(runs, |run| stage_ms(run, false));
         let mut stages_ms = BTreeMap::new();
-        if let Some(best) = runs.iter().min_by(|a, b| of(a, false).total_cmp(&of(b, false))) {
+        if let Some(best) = runs
+            .iter()
+            .min_by(|a, b| stage_ms(a, false).total_cmp(&stage_ms(b, false)))
+        {
             for time in &best.stages {
                 *stages_ms.entry(time.stage).or_default() += time.milliseconds;
             }
             stages_ms.values_mut().for_each(|time| *time = round(*time));
         }
-        let timed = !stages_ms.is_empty();
-        let read_back = stages_ms.contains_key(READ_BACK);
+        let has_stages = !stages_ms.is_empty();
+        let has_read_back = stages_ms.contains_key(READ_BACK);
         let seconds = device.best / 1e3;
         Line {
             volume: self.recipe.name.clone(),
@@ -159,18 +163,18 @@ impl Bench<'_> {
             case,
             repeats: self.args.repeats,
             wall_ms: Some(spread(runs, |run| run.wall.as_secs_f64() * 1e3)),
-            device_ms: timed.then_some(device),
-            read_back_ms: read_back.then(|| spread(runs, |run| of(run, true))),
+            device_ms: has_stages.then_some(device),
+            read_back_ms: has_read_back.then(|| spread(runs, |run| stage_ms(run, true))),
             stages_ms,
             bytes_read,
             bandwidth_fraction: bytes_read
-                .filter(|_| timed && seconds > 0.0)
+                .filter(|_| has_stages && seconds > 0.0)
                 .map(|bytes| round(bytes as f64 / seconds / self.speed.copy_bytes_per_second)),
             ..Line::default()
         }
     }
 
-    /// Adds the values of a surface.
+    /// Adds the values of a surface to a line.
     fn surface_line(&self, line: Line, fraction: f64, cut: &CutParams, statistics: &SurfaceStatistics) -> Line {
         let full = statistics.full_triangles;
         Line {
@@ -202,23 +206,30 @@ impl Bench<'_> {
         print(&self.line("load", &runs[1..], Some(self.volume.sample_bytes())))
     }
 
-    /// Bytes of the active bricks' samples and of the min/max table.
+    /// Returns the minimum bytes to read for an isovalue: the samples of the active bricks, and the min/max table.
     fn isovalue_bytes(&self, pyramid: &Pyramid) -> u64 {
         let brick = u64::from(BRICK_CELLS + 1).pow(3);
         let fields = self.recipe.sample_type.bytes() + if self.feature.is_some() { size_of::<f32>() } else { 0 };
         pyramid.active_bricks() * brick * fields as u64 + self.volume.table_bytes()
     }
 
-    fn isovalue(&mut self, case: &'static str, fraction: f64, cut: &CutParams, first: bool) -> Result<(), BenchError> {
-        let mut known: Option<(SurfaceStatistics, u64)> = None;
+    /// Times the way from an isovalue to a mesh. If `is_first`, each run follows a load; otherwise the isovalue alternates.
+    fn isovalue(
+        &mut self,
+        case: &'static str,
+        fraction: f64,
+        cut: &CutParams,
+        is_first: bool,
+    ) -> Result<(), BenchError> {
+        let mut last: Option<(SurfaceStatistics, u64)> = None;
         let mut runs = Vec::new();
         for i in 0..=self.args.repeats {
-            let iso = if first || i % 2 == 0 {
+            let iso = if is_first || i % 2 == 0 {
                 self.recipe.iso
             } else {
                 self.recipe.next_iso()
             };
-            if first {
+            if is_first {
                 self.engine.refresh_table(&mut self.volume)?;
             }
             let start = Instant::now();
@@ -230,14 +241,14 @@ impl Bench<'_> {
             });
             if iso == self.recipe.iso {
                 check_mesh(self.recipe, &surface)?;
-                if let Some((before, _)) = &known {
+                if let Some((before, _)) = &last {
                     let found = surface.statistics.triangles;
                     equal(self.recipe, "triangles of a repeated isovalue", found, before.triangles)?;
                 }
-                known = Some((surface.statistics, self.isovalue_bytes(&pyramid)));
+                last = Some((surface.statistics, self.isovalue_bytes(&pyramid)));
             }
         }
-        let (statistics, bytes) = known.unwrap_or_default();
+        let (statistics, bytes) = last.unwrap_or_default();
         let line = self.line(case, &runs[1..], Some(bytes));
         print(&self.surface_line(line, fraction, cut, &statistics))
     }
@@ -262,8 +273,9 @@ impl Bench<'_> {
         print(&self.surface_line(line, fraction, cut, &statistics))
     }
 
-    /// Edits that all give about the same cut: β a little higher, α with β scaled as α scales smoothness, a transfer
-    /// function that halves importance. Full resolution has β below 0, which all of them leave alone.
+    /// Returns three edits that lead to almost the same cut: a slightly higher β; another α, with β scaled by the same factor as
+    /// smoothness; and a transfer function that halves importance, with half of β. A β below 0, which means full resolution, does not
+    /// change.
     fn edits(&self, cut: &CutParams) -> Result<[CutParams; 3], BenchError> {
         let point = |x, importance| ControlPoint { x, importance };
         let halved = TransferFunction::new(vec![point(0.0, 0.0), point(1.0, 0.5)])?;
@@ -272,7 +284,7 @@ impl Bench<'_> {
         } else {
             0.1
         };
-        let kept = (1.0 - alpha) / (1.0 - cut.alpha);
+        let smoothness_factor = (1.0 - alpha) / (1.0 - cut.alpha);
         let scaled = |factor: f32| if cut.beta < 0.0 { cut.beta } else { cut.beta * factor };
         Ok([
             CutParams {
@@ -281,7 +293,7 @@ impl Bench<'_> {
             },
             CutParams {
                 alpha,
-                beta: scaled(kept),
+                beta: scaled(smoothness_factor),
                 ..cut.clone()
             },
             CutParams {
@@ -344,7 +356,7 @@ impl Bench<'_> {
         })?;
         let wire: Vec<_> = surface.regions.par_iter().map(quantised).collect();
         let mut meshopt_bytes = 0;
-        let peer = self.time(|_| {
+        let meshopt_runs = self.time(|_| {
             let start = Instant::now();
             meshopt_bytes = wire
                 .par_iter()
@@ -359,33 +371,33 @@ impl Bench<'_> {
         let mut line = self.surface_line(self.line("encode", &runs, None), fraction, cut, &surface.statistics);
         line.encoded_bytes = Some(bytes);
         line.bytes_per_triangle = Some(round(bytes as f64 / surface.statistics.triangles as f64));
-        line.meshopt_wall_ms = Some(spread(&peer, |run| run.wall.as_secs_f64() * 1e3));
+        line.meshopt_wall_ms = Some(spread(&meshopt_runs, |run| run.wall.as_secs_f64() * 1e3));
         line.meshopt_bytes = Some(meshopt_bytes);
         print(&line)
     }
 }
 
-fn spread(runs: &[Timing], of: impl Fn(&Timing) -> f64) -> Spread {
-    Spread::of(runs.iter().map(of))
+fn spread(runs: &[Timing], time_of: impl Fn(&Timing) -> f64) -> Spread {
+    Spread::of(runs.iter().map(time_of))
 }
 
-/// Encodes a final surface as a viewer's session does if the client holds nothing of it.
+/// Encodes a final surface as the session of a viewer does if the client has no mesh yet.
 fn encode(surface: &Surface) -> Result<Vec<Bytes>, BenchError> {
     let frames = surface.regions.par_iter().with_max_len(MAX_TASK_REGIONS).map(|region| {
-        // The session compares the hash with that of the client's mesh.
+        // A session computes this hash to compare it with the hash of the client's mesh.
         std::hint::black_box(MeshHash::of(region));
         Ok(encode::encode(region, PrefixId::cut(0, 1, 0))?)
     });
     frames.collect()
 }
 
-/// A region and its vertices as they are sent.
+/// Returns a region with its vertices as on the wire.
 fn quantised(region: &Region) -> (&Region, Vec<WireVertex>) {
     (region, region.vertices.iter().map(WireVertex::quantise).collect())
 }
 
-/// Encodes a region with meshoptimizer alone: strip order inside each level, vertices in the order of their use, codecs. Counts the same
-/// header bytes.
+/// Encodes a region with meshoptimizer alone: strip order inside each level, vertices in the order of their use, and the codecs. Returns
+/// the bytes including a chunk header, so that the result is comparable.
 fn meshopt_encode(region: &Region, vertices: &[WireVertex]) -> u64 {
     let mut indices = region.indices.to_vec();
     let mut first = 0;

@@ -1,9 +1,10 @@
-//! `isopeel bench`: times the stages on a device, against the device's own speed.
+//! `isopeel bench`: times the stages on a device, and compares them with the bandwidth of the device.
 //!
-//! Volumes are made on the device. Before a case is timed, its counts are compared with those of the host ([`reference`]); a wrong count
-//! ends the benchmark. Each line of the output is a JSON object, the first one describes the device.
+//! The volumes are generated on the device. Before a case is timed, its counts are compared with counts by the host ([`reference`]); a
+//! wrong count ends the benchmark. Each line of the output is a JSON object. The first line describes the device.
 //!
-//! [`stream`] times the path that a viewer takes, [`cases`] the parts of it that run on the device and in the encoder.
+//! [`stream`] times the whole path from an edit of a viewer to its frames. [`cases`] times the parts of this path on the device and in the
+//! encoder.
 
 mod cases;
 mod reference;
@@ -139,13 +140,13 @@ impl Args {
         self.case.is_empty() || self.case.contains(&case)
     }
 
-    /// Whether any case needs no server.
+    /// Whether a case other than `stream` was chosen.
     fn wants_stages(&self) -> bool {
         self.case.is_empty() || self.case.iter().any(|&case| case != CaseName::Stream)
     }
 }
 
-/// Why a bench ended early.
+/// Why a benchmark ended early.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum BenchError {
@@ -164,21 +165,21 @@ pub enum BenchError {
     /// A result differs from the reference.
     #[error("{volume}: {what} is {found}, the reference says {expected}")]
     Wrong {
-        /// Which volume.
+        /// Title of the volume.
         volume: String,
         /// Name of the count.
         what: &'static str,
-        /// By the device.
+        /// Result of the device.
         found: String,
-        /// By the host.
+        /// Result of the host.
         expected: String,
     },
     /// A volume could not be written.
     #[error("volume {}", path.display())]
     Save {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// Why not.
+        /// Error of the system.
         source: std::io::Error,
     },
     /// Stdout is closed.
@@ -186,7 +187,7 @@ pub enum BenchError {
     Print(#[from] std::io::Error),
 }
 
-/// The first line: the device.
+/// The first output line, which describes the device.
 #[derive(Serialize)]
 struct DeviceLine {
     version: &'static str,
@@ -197,14 +198,14 @@ struct DeviceLine {
     max_allocation_bytes: u64,
     compute_units: u32,
     threads: usize,
-    /// Bytes read plus bytes written by copies on the device, 10⁹ a second.
+    /// Bytes read plus bytes written by copies on the device, in 10⁹ bytes per second.
     copy_gb_s: f64,
     copied_bytes: u64,
     launch_us: f64,
     launch_and_wait_us: f64,
 }
 
-/// Median and best of all runs, milliseconds.
+/// Median and best time of all runs, in milliseconds.
 #[derive(Clone, Copy, Debug, Serialize)]
 struct Spread {
     median: f64,
@@ -215,7 +216,7 @@ impl Spread {
     fn of(times: impl IntoIterator<Item = f64>) -> Self {
         let mut times: Vec<f64> = times.into_iter().collect();
         times.sort_by(f64::total_cmp);
-        let at = |place: usize| times.get(place).copied().map_or(f64::NAN, round);
+        let at = |index: usize| times.get(index).copied().map_or(f64::NAN, round);
         Self {
             median: at(times.len() / 2),
             best: at(0),
@@ -223,12 +224,12 @@ impl Spread {
     }
 }
 
-/// A microsecond is the clock's own error, and no ratio is better than its fourth digit.
+/// Rounds to four digits after the decimal point. Times in milliseconds are not exact to a microsecond, and ratios not to the fourth digit.
 fn round(value: f64) -> f64 {
     (value * 1e4).round() / 1e4
 }
 
-/// One case.
+/// The output line of one case.
 #[derive(Clone, Debug, Default, Serialize)]
 struct Line {
     volume: String,
@@ -245,25 +246,25 @@ struct Line {
     #[serde(skip_serializing_if = "Option::is_none")]
     mesher: Option<&'static str>,
     repeats: u32,
-    /// From the call to its result on the host.
+    /// Time from the call to its result on the host.
     #[serde(skip_serializing_if = "Option::is_none")]
     wall_ms: Option<Spread>,
-    /// Sum of all kernels and transfers inside the stages by the device's events, without the mesh's read-back.
+    /// Sum of the times of all kernels and transfers by events of the device, without the read-back of the mesh.
     #[serde(skip_serializing_if = "Option::is_none")]
     device_ms: Option<Spread>,
-    /// Reading the mesh back to the host.
+    /// Time of reading the mesh back to the host.
     #[serde(skip_serializing_if = "Option::is_none")]
     read_back_ms: Option<Spread>,
     /// Device time of each stage in the run with the best device time.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     stages_ms: BTreeMap<&'static str, f64>,
-    /// Minimum bytes to read: all samples, the active bricks' samples, or the pyramid.
+    /// Minimum bytes that the case must read: all samples, the samples of active bricks, or the pyramid.
     #[serde(skip_serializing_if = "Option::is_none")]
     bytes_read: Option<u64>,
-    /// `bytes_read` over the best device time, as a share of the copy bandwidth.
+    /// `bytes_read` divided by the best device time, as a fraction of the copy bandwidth.
     #[serde(skip_serializing_if = "Option::is_none")]
     bandwidth_fraction: Option<f64>,
-    /// Maximum bytes on the device beyond the volume, min/max table included.
+    /// Maximum bytes on the device in addition to the samples, including the min/max table.
     #[serde(skip_serializing_if = "Option::is_none")]
     device_bytes: Option<u64>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -278,14 +279,14 @@ struct Line {
     encoded_bytes: Option<u64>,
     #[serde(skip_serializing_if = "Option::is_none")]
     bytes_per_triangle: Option<f64>,
-    /// meshoptimizer's strip order, vertex fetch and codecs on the same regions and threads.
+    /// Time of meshoptimizer's strip order, vertex fetch order and codecs for the same regions on the same threads.
     #[serde(skip_serializing_if = "Option::is_none")]
     meshopt_wall_ms: Option<Spread>,
     #[serde(skip_serializing_if = "Option::is_none")]
     meshopt_bytes: Option<u64>,
 }
 
-/// Parameters of the benchmark's cut, except β.
+/// Returns the parameters of the cut, with a β for the full surface.
 fn params(args: &Args, recipe: &Recipe) -> CutParams {
     CutParams {
         mesher: args.mesher.into(),
@@ -307,10 +308,10 @@ fn print(line: &impl Serialize) -> Result<(), BenchError> {
     Ok(super::print(&text)?)
 }
 
-/// Runs the bench and prints a line a case.
+/// Runs the benchmark, and prints a line for each case.
 ///
 /// # Errors
-/// [`BenchError`], after the lines of the cases before.
+/// [`BenchError`], after the lines of earlier cases.
 pub fn run(args: &Args) -> Result<(), BenchError> {
     let recipes: Vec<Recipe> = args
         .volume
@@ -318,14 +319,15 @@ pub fn run(args: &Args) -> Result<(), BenchError> {
         .flat_map(|name| name.recipes(&args.size, &args.types))
         .collect();
     stages(args, &recipes)?;
-    // Its server has an engine of its own, and PoCL 3.1 fails with two in one process.
+    // Comes last, after `stages` has closed its engine: the server of `stream` has another engine, and PoCL 3.1 fails with two in one
+    // process.
     if args.wants(CaseName::Stream) {
         recipes.iter().try_for_each(|recipe| stream::run(args, recipe))?;
     }
     Ok(())
 }
 
-/// The device's line, the volumes' files, and the cases that need no server.
+/// Prints the line of the device, saves the volumes if that was requested, and runs all cases except `stream`.
 fn stages(args: &Args, recipes: &[Recipe]) -> Result<(), BenchError> {
     let engine = args.device.open()?;
     let speed = engine.measure()?;

@@ -1,4 +1,4 @@
-//! Counts by the host from the samples, and checks of meshes. Nothing is timed before they pass.
+//! Reference counts, which the host computes from the samples, and checks of meshes. A case is timed only after they have passed.
 
 use std::collections::HashMap;
 use std::fmt::Display;
@@ -13,13 +13,13 @@ use rayon::prelude::*;
 use super::volumes::Recipe;
 use super::{Args, BenchError, params};
 
-/// Planes on the host at a time.
+/// Maximum number of planes that are in host memory at the same time.
 const PLANES: u32 = 64;
 
 /// Samples along each axis of the volume whose surface must be watertight.
 const WATERTIGHT_SIZE: u32 = 96;
 
-/// Counts by the host.
+/// Reference counts of a surface.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Counts {
     /// Cells whose corners differ in sign.
@@ -41,7 +41,7 @@ impl std::ops::Add for Counts {
     }
 }
 
-/// Counts from the samples on the device.
+/// Computes the counts of a volume at an isovalue. Reads the samples back from the device.
 pub(super) fn count(engine: &Engine, volume: &Volume, iso: f32) -> Result<Counts, BenchError> {
     let [nx, ny, nz] = volume.grid().dims.map(|n| n as usize);
     let triangles = case_triangles().map(|case| u64::from(case[0]));
@@ -50,8 +50,8 @@ pub(super) fn count(engine: &Engine, volume: &Volume, iso: f32) -> Result<Counts
         let end = (first + PLANES + 1).min(nz as u32);
         let samples = engine.download(volume, first..end)?;
         let inside = signs(&samples, iso);
-        let at = |x: usize, y: usize, z: usize| u64::from(inside[(z * ny + y) * nx + x]);
-        // The last plane of a part is the first of the next.
+        let is_inside = |x: usize, y: usize, z: usize| u64::from(inside[(z * ny + y) * nx + x]);
+        // Excludes the last plane, unless it is the last of the volume, because it is also the first plane of the next iteration.
         let planes = 0..(end - first) as usize - usize::from(end < nz as u32);
         let below_end = (end - first) as usize - 1;
         counts = counts
@@ -61,27 +61,27 @@ pub(super) fn count(engine: &Engine, volume: &Volume, iso: f32) -> Result<Counts
                     let mut counts = Counts::default();
                     for y in 0..ny {
                         for x in 0..nx {
-                            let here = at(x, y, z);
+                            let here = is_inside(x, y, z);
                             let mut edges = 0;
                             if x + 1 < nx {
-                                edges += here ^ at(x + 1, y, z);
+                                edges += here ^ is_inside(x + 1, y, z);
                             }
                             if y + 1 < ny {
-                                edges += here ^ at(x, y + 1, z);
+                                edges += here ^ is_inside(x, y + 1, z);
                             }
                             if z < below_end {
-                                edges += here ^ at(x, y, z + 1);
+                                edges += here ^ is_inside(x, y, z + 1);
                             }
                             counts.dual_triangles += 2 * edges;
                             if x + 1 < nx && y + 1 < ny && z < below_end {
                                 let case = here
-                                    | at(x + 1, y, z) << 1
-                                    | at(x, y + 1, z) << 2
-                                    | at(x + 1, y + 1, z) << 3
-                                    | at(x, y, z + 1) << 4
-                                    | at(x + 1, y, z + 1) << 5
-                                    | at(x, y + 1, z + 1) << 6
-                                    | at(x + 1, y + 1, z + 1) << 7;
+                                    | is_inside(x + 1, y, z) << 1
+                                    | is_inside(x, y + 1, z) << 2
+                                    | is_inside(x + 1, y + 1, z) << 3
+                                    | is_inside(x, y, z + 1) << 4
+                                    | is_inside(x + 1, y, z + 1) << 5
+                                    | is_inside(x, y + 1, z + 1) << 6
+                                    | is_inside(x + 1, y + 1, z + 1) << 7;
                                 counts.active_cells += u64::from(case != 0 && case != 255);
                                 counts.full_triangles += triangles[case as usize];
                             }
@@ -94,20 +94,21 @@ pub(super) fn count(engine: &Engine, volume: &Volume, iso: f32) -> Result<Counts
     Ok(counts)
 }
 
+/// Returns 1 for each sample at or above the isovalue, and 0 for each one below.
 fn signs(samples: &Samples, iso: f32) -> Vec<u8> {
-    fn of<T: Copy + Into<f32> + Sync>(samples: &[T], iso: f32) -> Vec<u8> {
+    fn signs_of<T: Copy + Into<f32> + Sync>(samples: &[T], iso: f32) -> Vec<u8> {
         samples.par_iter().map(|&v| u8::from(v.into() >= iso)).collect()
     }
     match samples {
-        Samples::U8(v) => of(v, iso),
-        Samples::I8(v) => of(v, iso),
-        Samples::U16(v) => of(v, iso),
-        Samples::I16(v) => of(v, iso),
-        Samples::F32(v) => of(v, iso),
+        Samples::U8(v) => signs_of(v, iso),
+        Samples::I8(v) => signs_of(v, iso),
+        Samples::U16(v) => signs_of(v, iso),
+        Samples::I16(v) => signs_of(v, iso),
+        Samples::F32(v) => signs_of(v, iso),
     }
 }
 
-/// Fails unless two results are equal.
+/// Returns an error unless two results are equal. `what` names the result in the error.
 pub(super) fn equal<T: PartialEq + Display>(
     recipe: &Recipe,
     what: &'static str,
@@ -125,7 +126,7 @@ pub(super) fn equal<T: PartialEq + Display>(
     })
 }
 
-/// Fails if a mesh is not consistent.
+/// Returns an error if a mesh is not consistent: wrong numbers of indices, or indices beyond the vertices.
 pub(super) fn check_mesh(recipe: &Recipe, surface: &Surface) -> Result<(), BenchError> {
     let indices: u64 = surface.regions.iter().map(|r| r.indices.len() as u64).sum();
     equal(recipe, "indices of the mesh", indices, 3 * surface.statistics.triangles)?;
@@ -142,7 +143,7 @@ pub(super) fn check_mesh(recipe: &Recipe, surface: &Surface) -> Result<(), Bench
     Ok(())
 }
 
-/// Number of edges, by position, with an odd number of triangles.
+/// Returns the number of edges with an odd number of triangles. Edges with the same ends count as one, even in different regions.
 fn odd_edges(surface: &Surface) -> usize {
     type Point = [i64; 3];
     let mut odd: HashMap<(Point, Point), bool> = HashMap::new();
@@ -150,13 +151,13 @@ fn odd_edges(surface: &Surface) -> usize {
         let origin = region
             .coords
             .map(|c| i64::from(c * REGION_CELLS) * i64::from(Vertex::LATTICE));
-        let at = |index: u32| -> Point {
+        let point = |index: u32| -> Point {
             let position = region.vertices[index as usize].position;
             [0, 1, 2].map(|axis| origin[axis] + i64::from(position[axis]))
         };
         for triangle in region.indices.chunks_exact(3) {
             for (a, b) in [(0, 1), (1, 2), (2, 0)] {
-                let (a, b) = (at(triangle[a]), at(triangle[b]));
+                let (a, b) = (point(triangle[a]), point(triangle[b]));
                 if a != b {
                     *odd.entry((a.min(b), a.max(b))).or_default() ^= true;
                 }
@@ -166,8 +167,8 @@ fn odd_edges(surface: &Surface) -> usize {
     odd.values().filter(|&&odd| odd).count()
 }
 
-/// Fails if a small, closed variant of the volume has a surface that is not watertight. Checks the dual mesher only: the other one
-/// guarantees nothing.
+/// Returns an error if the surface of a small, closed variant of the volume is not watertight. Checks only the dual mesher, because
+/// marching cubes does not guarantee this.
 pub(super) fn check_watertight(engine: &Engine, args: &Args, recipe: &Recipe) -> Result<(), BenchError> {
     if args.mesher != MesherName::Dual {
         return Ok(());

@@ -1,7 +1,7 @@
-//! The path that a viewer takes: an edit into a socket of the real server, to its first picture and to its last byte.
+//! The case `stream`: times edits that a viewer sends through a socket of the real server, from the edit to its first and last byte.
 //!
-//! Server and client share this process and the loopback interface, so that a host needs nothing but the binary. No edit is answered
-//! from memory: isovalues are never used twice, and every other edit differs from the one before.
+//! Server and client run in this process and use the loopback interface, so that the benchmark needs only the binary. No edit is a cache
+//! hit: an isovalue is never used twice, and every other edit differs from the previous one.
 
 mod client;
 mod lines;
@@ -23,7 +23,7 @@ use client::{Client, Streamed};
 use lines::{DragLine, StreamLine};
 use server::Server;
 
-/// Edits a second while a value is dragged: a slow pointer, and one at the display's rate.
+/// Edits per second of a drag: a slow pointer, and a pointer at the rate of the display.
 const DRAG_HZ: [f64; 2] = [20.0, 60.0];
 
 /// β at the ends of a drag.
@@ -42,7 +42,7 @@ pub enum StreamError {
     /// The client of the stream failed.
     #[error(transparent)]
     Client(#[from] isopeel_client::Error),
-    /// No frame came.
+    /// The server has sent no frame for this time.
     #[error("no frame came for {} s", .0.as_secs())]
     Silent(Duration),
     /// The samples do not make a dataset.
@@ -50,10 +50,11 @@ pub enum StreamError {
     Dataset(#[from] ReadError),
 }
 
-/// Isovalues around the recipe's, none of them twice: multiples of the golden ratio, which never come close to one another.
+/// Generates distinct isovalues around the isovalue of a recipe. Uses multiples of the golden ratio modulo 1, which are spread evenly.
 struct Isovalues {
     centre: f32,
     half_width: f32,
+    /// Number of isovalues so far.
     used: u32,
 }
 
@@ -61,7 +62,7 @@ impl Isovalues {
     fn new(recipe: &Recipe) -> Self {
         Self {
             centre: recipe.iso,
-            // A hundredth of the values' range: surfaces of about the same size, of which no vertex stays in its place.
+            // A hundredth of the range of values. The surfaces have about the same size, but no common vertex.
             half_width: match recipe.sample_type {
                 SampleType::U8 | SampleType::I8 => 2.56,
                 SampleType::U16 | SampleType::I16 => 655.36,
@@ -74,11 +75,11 @@ impl Isovalues {
     fn next(&mut self) -> f32 {
         const GOLDEN: f64 = 0.618_033_988_749_894_9;
         self.used += 1;
-        let place = (f64::from(self.used) * GOLDEN).fract() * 2.0 - 1.0;
-        (f64::from(self.centre) + place * f64::from(self.half_width)) as f32
+        let offset = (f64::from(self.used) * GOLDEN).fract() * 2.0 - 1.0;
+        (f64::from(self.centre) + offset * f64::from(self.half_width)) as f32
     }
 
-    /// For a drag from below to above.
+    /// Returns isovalues for a drag: the next `count` ones in ascending order.
     fn ascending(&mut self, count: usize) -> Vec<f32> {
         let mut values: Vec<f32> = (0..count).map(|_| self.next()).collect();
         values.sort_by(f32::total_cmp);
@@ -86,10 +87,12 @@ impl Isovalues {
     }
 }
 
-/// Values that stay the same while one kind of edit is timed: all except the isovalue.
+/// Values of the view at which all kinds of edits are timed.
 struct Setting {
     name: String,
+    /// Budget in triangles, if the setting has one.
     budget: Option<u64>,
+    /// All values except the isovalue.
     edit: Edit,
 }
 
@@ -98,8 +101,8 @@ impl Setting {
         self.edit.beta.is_some_and(|beta| beta < 0.0)
     }
 
-    fn budget(&self, share: f64) -> Option<u64> {
-        self.budget.map(|budget| (budget as f64 * share) as u64)
+    fn scaled_budget(&self, factor: f64) -> Option<u64> {
+        self.budget.map(|budget| (budget as f64 * factor) as u64)
     }
 }
 
@@ -109,8 +112,9 @@ struct Bench<'a> {
     recipe: &'a Recipe,
     client: Client,
     isovalues: Isovalues,
+    /// The view with which the volume opens.
     opening: Edit,
-    /// Time steps that were shown.
+    /// Number of time steps that were shown.
     steps: u32,
     full_triangles: u64,
 }
@@ -149,7 +153,8 @@ pub(super) fn run(args: &Args, recipe: &Recipe) -> Result<(), BenchError> {
     })
 }
 
-/// The volume in host memory and the counts of its surface. Its engine is closed again: PoCL 3.1 fails with two engines in one process.
+/// Returns the volume in host memory, and the counts of its surface. Closes the engine that has generated the volume, because PoCL 3.1
+/// fails with two engines in one process.
 fn dataset(args: &Args, recipe: &Recipe) -> Result<(Dataset, Counts), BenchError> {
     let engine = args.device.open()?;
     let volume = recipe.generate(&engine)?;
@@ -159,7 +164,7 @@ fn dataset(args: &Args, recipe: &Recipe) -> Result<(Dataset, Counts), BenchError
         spacing: recipe.grid.spacing.map(f64::from),
         ..Geometry::of_index(recipe.grid.dims)
     };
-    // The first step, and one for each run that opens a new one; all of them share the samples.
+    // One step to open, and one for each run that opens a new step. All steps share the samples.
     let settings = args.fraction.len() + 1;
     let steps = vec![samples; 2 + settings * (args.repeats as usize + 1)];
     let dataset = memory_dataset(&recipe.name, geometry, steps).map_err(StreamError::Dataset)?;
@@ -167,13 +172,13 @@ fn dataset(args: &Args, recipe: &Recipe) -> Result<(Dataset, Counts), BenchError
 }
 
 impl Bench<'_> {
-    /// The surface in full, once, against the counts of the host.
+    /// Compares the full surface of the stream with the reference counts.
     async fn check(&mut self, counts: &Counts) -> Result<(), BenchError> {
         let edit = Edit {
             iso: Some(self.recipe.iso),
             ..self.unguarded(Some(-1.0), None)
         };
-        let found = self.client.edit(&edit).await?.statistics;
+        let statistics = self.client.edit(&edit).await?.statistics;
         let expected = match self.args.mesher {
             MesherName::Dual => counts.dual_triangles,
             MesherName::MarchingCubes => counts.full_triangles,
@@ -181,13 +186,13 @@ impl Bench<'_> {
         equal(
             self.recipe,
             "full triangles of the stream",
-            found.full_triangles,
+            statistics.full_triangles,
             counts.full_triangles,
         )?;
-        equal(self.recipe, "triangles of the stream", found.triangles, expected)
+        equal(self.recipe, "triangles of the stream", statistics.triangles, expected)
     }
 
-    /// An edit that sets every value except the isovalue, without guards.
+    /// Returns an edit that sets every value except the isovalue, and turns the guards off.
     fn unguarded(&self, beta: Option<f32>, triangles: Option<u64>) -> Edit {
         Edit {
             beta,
@@ -199,7 +204,7 @@ impl Bench<'_> {
         }
     }
 
-    /// The opening view of the volume, with the mesher to be timed.
+    /// Returns the opening view of the volume without its isovalue, and with the chosen mesher.
     fn opened(&self) -> Edit {
         Edit {
             iso: None,
@@ -232,7 +237,7 @@ impl Bench<'_> {
         settings
     }
 
-    /// The setting at an isovalue that was not there before.
+    /// Returns an edit with a new isovalue.
     fn fresh(&mut self, edit: &Edit) -> Edit {
         Edit {
             iso: Some(self.isovalues.next()),
@@ -240,7 +245,7 @@ impl Bench<'_> {
         }
     }
 
-    /// Every kind of edit at one setting.
+    /// Times every kind of edit at one setting.
     async fn setting(&mut self, setting: &Setting) -> Result<(), BenchError> {
         let wants = |edit| self.args.wants_edit(edit);
         if wants(EditName::Isovalue) {
@@ -286,14 +291,14 @@ impl Bench<'_> {
         self.print(setting, "isovalue", &runs[1..])
     }
 
-    /// Edits of a budget by a tenth; else of β by a third and by a thousandth.
+    /// Times edits of a budget by a tenth. Without a budget, times edits of β by a third and by a thousandth.
     async fn budget_and_beta(&mut self, setting: &Setting) -> Result<(), BenchError> {
         let of_beta = |beta: f32| Edit {
             beta: Some(beta),
             ..Edit::default()
         };
         if setting.is_full() {
-            // From a quarter of the triangles to all of them; there is no small edit below 0.
+            // From a quarter of the triangles to all of them. A β below 0 has no small edit, because all such values mean the same.
             let quarter = Edit {
                 triangles: Some(TriangleBudget::AtMost((self.full_triangles / 4).max(1))),
                 ..Edit::default()
@@ -310,14 +315,14 @@ impl Bench<'_> {
         self.alternate(setting, "small beta", &close).await
     }
 
-    /// Two edits in turns, from a fresh isovalue on; the second is the setting's own value.
+    /// Times two edits in turns, at a new isovalue. The second edit has the value of the setting.
     async fn alternate(&mut self, setting: &Setting, name: &'static str, edits: &[Edit; 2]) -> Result<(), BenchError> {
         let start = self.fresh(&setting.edit);
         self.client.edit(&start).await?;
         self.in_turns(setting, name, edits).await
     }
 
-    /// Edits after the viewer has rested: if an error or a budget decides, the vertex tree is built by then.
+    /// Times edits of a viewer at rest. If an error or a budget decides, the vertex tree is already built.
     async fn rested(&mut self, setting: &Setting) -> Result<(), BenchError> {
         if setting.is_full() || self.args.mesher != MesherName::Dual {
             return Ok(());
@@ -333,7 +338,7 @@ impl Bench<'_> {
             .await
     }
 
-    /// Two edits in turns, at the isovalue that is shown.
+    /// Times two edits in turns, at the current isovalue.
     async fn in_turns(&mut self, setting: &Setting, name: &'static str, edits: &[Edit; 2]) -> Result<(), BenchError> {
         self.client.edit(&edits[1]).await?;
         let mut runs = Vec::new();
@@ -343,7 +348,7 @@ impl Bench<'_> {
         self.print(setting, name, &runs[1..])
     }
 
-    /// One edit, at a fresh isovalue, from a state that is restored before each run.
+    /// Times the edit `to` after the edit `from`, at a new isovalue in each run.
     async fn between(
         &mut self,
         setting: &Setting,
@@ -364,7 +369,7 @@ impl Bench<'_> {
     async fn feature(&mut self, setting: &Setting, name: &'static str, to: &str, from: &str) -> Result<(), BenchError> {
         let mut runs = Vec::new();
         for _ in 0..=self.args.repeats {
-            // The isovalue's pyramid is there with one feature and not with the other.
+            // With a new isovalue, only the pyramid with the feature `from` is resident, and not the one with `to`.
             let before = Edit {
                 feature: Some(from.to_owned()),
                 feature_range: None,
@@ -380,26 +385,27 @@ impl Bench<'_> {
         self.print(setting, name, &runs[1..])
     }
 
-    /// Opens a step that was never open, or the one of the last two that is not.
-    async fn step(&mut self, setting: &Setting, name: &'static str, new: bool) -> Result<(), BenchError> {
+    /// Times opening a time step. If `is_new`, each run opens a step for the first time; otherwise the runs alternate between the last two
+    /// steps.
+    async fn step(&mut self, setting: &Setting, name: &'static str, is_new: bool) -> Result<(), BenchError> {
         let mut runs = Vec::new();
         for i in 0..=self.args.repeats {
-            if new {
+            if is_new {
                 self.steps += 1;
             }
-            let step = if new { self.steps - 1 } else { self.steps - 2 + i % 2 };
+            let step = if is_new { self.steps - 1 } else { self.steps - 2 + i % 2 };
             let edit = self.fresh(&setting.edit);
             runs.push(self.client.step(step, &edit).await?);
         }
         self.print(setting, name, &runs[1..])
     }
 
-    /// A drag of the isovalue or of β, from the opening view.
-    async fn drag(&mut self, hz: f64, isovalue: bool) -> Result<(), BenchError> {
+    /// Measures a drag from the opening view: of the isovalue, or else of β.
+    async fn drag(&mut self, hz: f64, is_isovalue: bool) -> Result<(), BenchError> {
         let seconds = self.args.drag_seconds;
         let count = ((hz * seconds) as usize).max(1);
         let opened = self.fresh(&self.opened());
-        let start = if isovalue {
+        let start = if is_isovalue {
             opened
         } else {
             Edit {
@@ -410,23 +416,23 @@ impl Bench<'_> {
             }
         };
         self.client.edit(&start).await?;
-        let edits: Vec<Edit> = if isovalue {
-            let of = |iso| Edit {
+        let edits: Vec<Edit> = if is_isovalue {
+            let edit_of = |iso| Edit {
                 iso: Some(iso),
                 ..Edit::default()
             };
-            self.isovalues.ascending(count).into_iter().map(of).collect()
+            self.isovalues.ascending(count).into_iter().map(edit_of).collect()
         } else {
-            let at = |i: usize| DRAG_BETA[0] + (DRAG_BETA[1] - DRAG_BETA[0]) * (i + 1) as f32 / count as f32;
-            let of = |i| Edit {
-                beta: Some(at(i)),
+            let beta = |i: usize| DRAG_BETA[0] + (DRAG_BETA[1] - DRAG_BETA[0]) * (i + 1) as f32 / count as f32;
+            let edit_of = |i| Edit {
+                beta: Some(beta(i)),
                 ..Edit::default()
             };
-            (0..count).map(of).collect()
+            (0..count).map(edit_of).collect()
         };
-        let seen = self.client.drag(&edits, Duration::from_secs_f64(1.0 / hz)).await?;
-        let edit = if isovalue { "isovalue" } else { "beta" };
-        print(&DragLine::new(self.args, self.recipe, edit, hz, edits.len(), &seen))
+        let dragged = self.client.drag(&edits, Duration::from_secs_f64(1.0 / hz)).await?;
+        let edit = if is_isovalue { "isovalue" } else { "beta" };
+        print(&DragLine::new(self.args, self.recipe, edit, hz, edits.len(), &dragged))
     }
 
     fn print(&self, setting: &Setting, edit: &'static str, runs: &[Streamed]) -> Result<(), BenchError> {
@@ -434,10 +440,10 @@ impl Bench<'_> {
     }
 }
 
-/// Two budgets, a tenth apart; `None` if the setting has no budget.
+/// Returns edits to a budget that is a tenth smaller, and to the budget of the setting; `None` if the setting has no budget.
 fn budgets(setting: &Setting) -> Option<[Edit; 2]> {
-    let tight = setting.budget(0.9)?;
-    Some([tight, setting.budget(1.0)?].map(|triangles| Edit {
+    let smaller = setting.scaled_budget(0.9)?;
+    Some([smaller, setting.scaled_budget(1.0)?].map(|triangles| Edit {
         triangles: Some(TriangleBudget::AtMost(triangles)),
         ..Edit::default()
     }))
@@ -458,7 +464,8 @@ fn transfer_functions() -> [Edit; 2] {
     })
 }
 
-/// Not monotonic: with a budget, a monotonic one gives the cut of the identity at another β.
+/// Returns a transfer function that is not monotonic. With a budget, a monotonic one would lead to the same cut as the default, at another
+/// β.
 fn other_transfer() -> TransferFunctionJson {
     let point = |x: f32, importance: f32| PointJson {
         x,

@@ -1,4 +1,4 @@
-//! Volumes of the benchmark: names, sizes, formulas.
+//! Volumes of the benchmark, which are generated from formulas.
 
 use std::fs::File;
 use std::io::Write;
@@ -60,19 +60,19 @@ impl From<TypeName> for SampleType {
     }
 }
 
-/// How one volume is made.
+/// Parameters of one generated volume.
 #[derive(Clone, Debug)]
 pub(super) struct Recipe {
     pub name: String,
     pub grid: Grid,
     pub sample_type: SampleType,
     pub field: Synthetic,
-    /// A second field on the same grid, the user's feature, with the range that becomes 0 to 1.
+    /// The user feature: a second field on the same grid, and the range of values that is normalised to 0 to 1.
     pub feature: Option<(Synthetic, [f32; 2])>,
     pub iso: f32,
 }
 
-/// Samples that one ball of radius 40 needs along an axis.
+/// Samples along each axis for one ball of radius 40 and the space around it.
 const BALL_PITCH: u32 = 96;
 
 impl Recipe {
@@ -107,11 +107,11 @@ impl Recipe {
         self
     }
 
-    /// The same with at most `largest` samples along each axis and all surfaces closed.
-    pub fn small_and_closed(&self, largest: u32) -> Self {
+    /// Returns a variant with at most `max_size` samples along each axis, and with closed surfaces.
+    pub fn small_and_closed(&self, max_size: u32) -> Self {
         let mut small = self.clone();
-        small.grid.dims = self.grid.dims.map(|n| n.min(largest));
-        small.field.period = self.field.period.min(largest as f32);
+        small.grid.dims = self.grid.dims.map(|n| n.min(max_size));
+        small.field.period = self.field.period.min(max_size as f32);
         small.field.closed = true;
         small
     }
@@ -120,7 +120,7 @@ impl Recipe {
         engine.generate(&self.grid, self.sample_type, &self.field)
     }
 
-    /// The second field, if there is one.
+    /// Generates the feature, if the recipe has one.
     pub fn generate_feature(&self, engine: &Engine) -> Result<Option<Volume>, Error> {
         let feature = self.feature.as_ref();
         feature
@@ -128,18 +128,18 @@ impl Recipe {
             .transpose()
     }
 
-    /// The samples of the volume, in one piece.
+    /// Reads all samples of the volume back from the device.
     pub fn download(&self, engine: &Engine, volume: &Volume) -> Result<Samples, Error> {
         let mut samples = engine.download(volume, 0..0)?;
         reserve(&mut samples, self.grid.sample_count() as usize);
-        for planes in self.parts() {
+        for planes in self.slabs() {
             append(&mut samples, engine.download(volume, planes)?);
         }
         Ok(samples)
     }
 
-    /// Planes that are copied to the host at a time, so that the buffers stay small.
-    fn parts(&self) -> impl Iterator<Item = Range<u32>> {
+    /// Returns ranges of planes that are read back one after another, so that the buffers stay small.
+    fn slabs(&self) -> impl Iterator<Item = Range<u32>> {
         const PLANES: u32 = 64;
         let nz = self.grid.dims[2];
         (0..nz)
@@ -169,14 +169,14 @@ impl Recipe {
             "NRRD0004\ntype: {stored}\ndimension: 3\nsizes: {nx} {ny} {nz}\nspacings: 1 1 1\nendian: little\nencoding: raw\n\n"
         );
         file.write_all(header.as_bytes()).map_err(failed)?;
-        for planes in self.parts() {
+        for planes in self.slabs() {
             let samples = engine.download(volume, planes)?;
             file.write_all(samples.as_bytes()).map_err(failed)?;
         }
         Ok(())
     }
 
-    /// Another isovalue with about as much surface.
+    /// Returns another isovalue, whose surface has about the same size.
     pub fn next_iso(&self) -> f32 {
         match self.sample_type {
             SampleType::F32 => self.iso + 0.01,
@@ -184,7 +184,7 @@ impl Recipe {
         }
     }
 
-    /// For messages.
+    /// Returns name, size and type, for messages.
     pub fn title(&self) -> String {
         let [x, y, z] = self.grid.dims;
         format!("{} {x}x{y}x{z} {}", self.name, self.sample_type.name())
@@ -201,7 +201,7 @@ fn reserve(samples: &mut Samples, count: usize) {
     }
 }
 
-/// Both are of the volume's type.
+/// Appends samples of the same type.
 fn append(samples: &mut Samples, more: Samples) {
     match (samples, more) {
         (Samples::U8(v), Samples::U8(more)) => v.extend(more),
@@ -214,7 +214,7 @@ fn append(samples: &mut Samples, more: Samples) {
 }
 
 impl VolumeName {
-    /// The volumes of this name, by size and type.
+    /// Returns the recipes of the volumes with this name, for each size and type.
     pub fn recipes(self, sizes: &[u32], types: &[TypeName]) -> Vec<Recipe> {
         match self {
             Self::Head => return vec![Recipe::new("head", [256, 256, 225], SampleType::U8, Shape::Sin, 220.0)],

@@ -1,4 +1,4 @@
-//! Requests to a server.
+//! HTTP client for the job API of a server.
 
 use axum::body::Bytes;
 use isopeel_volumes::is_this_machine;
@@ -31,7 +31,7 @@ pub(super) struct Download {
 }
 
 impl Download {
-    /// The next bytes; `None` at the end.
+    /// Returns the next bytes; `None` at the end.
     pub(super) async fn next(&mut self) -> Result<Option<Bytes>, JobsError> {
         self.response.chunk().await.map_err(|source| JobsError::Connection {
             server: self.server.clone(),
@@ -48,7 +48,7 @@ impl Client {
         if !matches!(url.scheme(), "http" | "https") {
             return Err(bad());
         }
-        // Fails if a provider was installed before.
+        // An error is ignored: a provider is already installed.
         let _ = rustls::crypto::ring::default_provider().install_default();
         let mut headers = HeaderMap::new();
         if let Some(token) = token {
@@ -71,22 +71,22 @@ impl Client {
         self.http.request(method, format!("{}/api/v1/jobs{path}", self.server))
     }
 
-    /// Returns the error of a connection that failed or broke.
-    pub(super) fn connection(&self, source: reqwest::Error) -> JobsError {
+    /// Converts an error of the HTTP client.
+    pub(super) fn connection_error(&self, source: reqwest::Error) -> JobsError {
         JobsError::Connection {
             server: self.server.clone(),
             source,
         }
     }
 
-    /// Sends a request; returns its answer if that is a success.
-    async fn answer(&self, request: RequestBuilder) -> Result<Response, JobsError> {
-        let response = request.send().await.map_err(|error| self.connection(error))?;
+    /// Sends a request, and returns the response if its status is a success.
+    async fn execute(&self, request: RequestBuilder) -> Result<Response, JobsError> {
+        let response = request.send().await.map_err(|error| self.connection_error(error))?;
         let status = response.status();
         if status.is_success() {
             return Ok(response);
         }
-        let text = response.bytes().await.map_err(|error| self.connection(error))?;
+        let text = response.bytes().await.map_err(|error| self.connection_error(error))?;
         match serde_json::from_slice(&text) {
             Ok(Problem { code, detail }) => Err(JobsError::Refused { code, detail }),
             Err(_)
@@ -105,7 +105,7 @@ impl Client {
         }
     }
 
-    /// JSON of the server.
+    /// Parses JSON of the server.
     pub(super) fn parse<T: DeserializeOwned>(&self, text: &[u8]) -> Result<T, JobsError> {
         serde_json::from_slice(text).map_err(|error| JobsError::Answer {
             server: self.server.clone(),
@@ -113,15 +113,15 @@ impl Client {
         })
     }
 
-    /// Sends a request without a body, and returns the answer's.
+    /// Sends a request without a body, and returns the body of the response.
     pub(super) async fn send(&self, method: Method, path: &str) -> Result<Bytes, JobsError> {
         self.body(self.request(method, path)).await
     }
 
-    /// The body of an answer of success.
+    /// Sends a request, and returns the body of the response if its status is a success.
     async fn body(&self, request: RequestBuilder) -> Result<Bytes, JobsError> {
-        let response = self.answer(request).await?;
-        response.bytes().await.map_err(|error| self.connection(error))
+        let response = self.execute(request).await?;
+        response.bytes().await.map_err(|error| self.connection_error(error))
     }
 
     pub(super) async fn submit(&self, request: Vec<u8>, key: Option<&str>) -> Result<JobInfo, JobsError> {
@@ -146,17 +146,17 @@ impl Client {
     pub(super) async fn result(&self, id: &str, extraction: u32) -> Result<Download, JobsError> {
         let request = self.request(Method::GET, &format!("/{id}/results/{extraction}"));
         Ok(Download {
-            response: self.answer(request).await?,
+            response: self.execute(request).await?,
             server: self.server.clone(),
         })
     }
 
-    /// Returns the events of a job after the event `after`; `None` if there are no more.
+    /// Requests the events of a job after the event with id `after`. Returns `None` if the job is finished and has no more events.
     pub(super) async fn events(&self, id: &str, after: &str) -> Result<Option<Response>, JobsError> {
         let request = self
             .request(Method::GET, &format!("/{id}/events"))
             .header("last-event-id", after);
-        let response = self.answer(request).await?;
+        let response = self.execute(request).await?;
         Ok((response.status() != StatusCode::NO_CONTENT).then_some(response))
     }
 }

@@ -7,12 +7,12 @@ use isopeel_extraction::{PROCESSOR_BYTES, limit_host_memory};
 
 use crate::stream::SHARED_BYTES;
 
-/// Default of `--read-ahead`: holds sixteen time steps of 256³ 32-bit floats.
+/// Default of `--read-ahead`: space for sixteen time steps of 256³ 32-bit floats.
 const READ_AHEAD_MIB: u64 = 1024;
 
 const MIB: u64 = 1 << 20;
 
-/// Allocations of at least this many bytes are mapped on their own, and return to the system as soon as they are freed.
+/// An allocation of at least this many bytes has its own mapping, which returns to the system as soon as it is freed.
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 const MIN_MAPPED_BYTES: i32 = 1 << 20;
 
@@ -50,7 +50,7 @@ fn surface_memory_help() -> String {
 }
 
 impl MemoryArgs {
-    /// Sets the limit on host memory, and makes the allocator return freed memory. Called once, before any other work.
+    /// Sets the limit of host memory, and makes the allocator return freed memory. Call this once, before any other work.
     pub(super) fn limit_process(&self) {
         return_freed_memory();
         if let Some(mebibytes) = self.host_memory {
@@ -58,29 +58,29 @@ impl MemoryArgs {
         }
     }
 
-    /// Maximum device bytes of pyramids, vertex trees, cuts and free buffers, if `--surface-memory` is given.
+    /// Returns the maximum device bytes of pyramids, vertex trees, cuts and free buffers, if `--surface-memory` is given.
     pub(super) fn surface_bytes(&self) -> Option<u64> {
         self.surface_memory.map(|mebibytes| mebibytes.saturating_mul(MIB))
     }
 
-    /// Maximum device bytes of time steps that are read ahead.
+    /// Returns the maximum device bytes of time steps that are read ahead.
     pub(super) fn ahead_bytes(&self) -> u64 {
         self.read_ahead.saturating_mul(MIB)
     }
 
-    /// Maximum host bytes of the cache of encoded surfaces.
+    /// Returns the maximum host bytes of the cache of encoded surfaces.
     pub(super) fn shared_bytes(&self) -> u64 {
         self.shared_memory.saturating_mul(MIB)
     }
 }
 
-/// Makes glibc return freed memory to the system. Called once, before any other work.
+/// Makes glibc return freed memory to the system. Call this once, before any other work.
 ///
-/// Allocations from [`MIN_MAPPED_BYTES`] on are mapped one by one, and unmapped when they are freed. By default glibc maps allocations from
-/// 128 KiB on, but raises this threshold to up to 32 MiB once such allocations are freed. The buffers of a CPU driver then lie in glibc's
-/// heaps, where live allocations prevent the freed ones between them from being returned.
+/// Each allocation of at least [`MIN_MAPPED_BYTES`] gets its own mapping, and is unmapped when it is freed. By default glibc begins with a
+/// threshold of 128 KiB, but raises it up to 32 MiB when such allocations are freed. Then the buffers of a CPU driver are in glibc's heaps,
+/// where glibc cannot return freed memory between live allocations.
 ///
-/// A thread returns free pages between smaller allocations: with many viewers they had grown to 0.1 GB in ten minutes.
+/// A thread returns free pages between smaller allocations. Without it, they grew to 0.1 GB within ten minutes with many viewers.
 fn return_freed_memory() {
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
     {
@@ -92,7 +92,7 @@ fn return_freed_memory() {
                 isopeel_extraction::trim_heaps();
             }
         };
-        // Without this thread the process works, but takes more memory.
+        // An error is not fatal: without this thread, the process only uses more memory.
         if let Err(error) = std::thread::Builder::new().name("isopeel-trim".into()).spawn(trim) {
             tracing::warn!(%error, "freed memory is kept");
         }

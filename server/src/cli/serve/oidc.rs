@@ -1,4 +1,4 @@
-//! Options of sign-in by an issuer of OpenID Connect.
+//! Options of `isopeel serve` for sign-in through an OpenID Connect issuer.
 
 use std::path::PathBuf;
 
@@ -37,19 +37,19 @@ pub struct OidcArgs {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// Options that do not go together.
+    /// A required option is missing, or options exclude each other.
     #[error("--oidc-issuer: {0}")]
     Missing(&'static str),
-    /// The secret cannot be read.
+    /// The client secret cannot be read.
     #[error("--oidc-client-secret-file: {0:?} cannot be read")]
     Secret(PathBuf, #[source] std::io::Error),
-    /// The issuer.
+    /// The configuration of the issuer is invalid.
     #[error(transparent)]
     Issuer(#[from] OidcError),
 }
 
 impl OidcArgs {
-    /// The issuer, if there is one.
+    /// Returns the sign-in of the arguments, if they name an issuer. `is_open` means that the server runs without authentication.
     pub(super) fn open(&self, public: Option<&PublicUrl>, is_open: bool) -> Result<Option<Oidc>, Error> {
         let Some(issuer) = &self.oidc_issuer else {
             return Ok(None);

@@ -1,11 +1,11 @@
-//! Handlers of signals, and the end of the process.
+//! Signal handlers, and the exit of the process.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-/// The time before a shutdown in which the server still answers all requests, but is not ready any more, so that load balancers stop
-/// sending it new ones.
+/// The time before a shutdown in which the server still answers all requests. Its readiness probe fails in this time, so that load
+/// balancers stop sending new requests.
 pub(super) struct Drain {
     pub time: Duration,
     /// Set when the drain begins.
@@ -24,10 +24,11 @@ impl Drain {
     }
 }
 
-/// Returns a future that resolves after ctrl-c or SIGTERM and the [`Drain`] that follows. Another such signal ends the drain at once.
+/// Returns a future that resolves after SIGINT or SIGTERM, and after the [`Drain`] that follows. Another such signal ends the drain at
+/// once.
 ///
-/// SIGHUP calls `reload`, which returns a text for the log on what it has reloaded, and the server continues. A terminal also sends SIGHUP
-/// when it closes. The handlers are installed when this function returns.
+/// On SIGHUP, calls `reload`, which returns a text for the log about what it has reloaded, and continues. A terminal also sends SIGHUP when
+/// it closes. The handlers are installed when this function returns.
 ///
 /// # Errors
 /// The handlers cannot be installed.
@@ -45,9 +46,9 @@ pub(super) fn shutdown(
                 _ = interrupt.recv() => break,
                 _ = terminate.recv() => break,
                 Some(()) = hang_up.recv() => {
-                    // The files are short; new connections wait until they are read.
-                    let read = tokio::task::block_in_place(&reload);
-                    tracing::info!("SIGHUP: {read}, the server goes on");
+                    // Blocks a thread only briefly, because the files are short.
+                    let reloaded = tokio::task::block_in_place(&reload);
+                    tracing::info!("SIGHUP: {reloaded}, the server goes on");
                 }
             }
         }
@@ -61,7 +62,7 @@ pub(super) fn shutdown(
     })
 }
 
-/// Returns a future that resolves after ctrl-c and the drain that follows. There is no reload without SIGHUP.
+/// Returns a future that resolves after ctrl-c, and after the drain that follows. Never reloads, because this system has no SIGHUP.
 #[cfg(not(unix))]
 pub(super) fn shutdown(
     _: impl Fn() -> &'static str + Send + 'static,
@@ -77,7 +78,7 @@ pub(super) fn shutdown(
     })
 }
 
-/// Ends the process at once, without the exit handlers of libraries: those of an OpenCL driver may wait for running kernels, or crash.
+/// Ends the process without running exit handlers, because those of an OpenCL driver may wait for running kernels or crash.
 #[cfg(unix)]
 pub(super) fn exit_now(success: bool) -> ! {
     // SAFETY: the function takes a number, touches no memory, and does not return.

@@ -1,4 +1,4 @@
-//! Options of `isopeel serve` about volumes that users bring.
+//! Options of `isopeel serve` about uploads.
 
 use std::path::PathBuf;
 use std::time::Duration;
@@ -9,7 +9,7 @@ use super::super::token::lifetime;
 use super::Args;
 use crate::uploads::{FolderError, Limits, UploadFolder, Uploads};
 
-/// Some volumes of 1024³ samples.
+/// Default of `--upload-quota`. Enough for some volumes of 1024³ samples.
 const QUOTA_MIB: u64 = 20 * 1024;
 
 /// These options.
@@ -34,12 +34,12 @@ pub struct UploadArgs {
 }
 
 impl UploadArgs {
-    /// Whether users may bring volumes.
-    pub(super) fn are_taken(&self) -> bool {
+    /// Whether users may upload volumes.
+    pub(super) fn are_enabled(&self) -> bool {
         self.uploads.is_some()
     }
 
-    /// The uploads of the folder, those that are volumes in the catalog. `args`: all options of the server.
+    /// Opens the uploads of the folder, and adds their volumes to the catalog. `args` are all options of the server.
     pub(super) fn open(&self, args: &Args, catalog: &SharedCatalog) -> Result<Option<Uploads>, FolderError> {
         let Some(path) = &self.uploads else { return Ok(None) };
         let folder = UploadFolder::open(path, args.folder_access)?;

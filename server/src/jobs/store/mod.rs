@@ -1,7 +1,7 @@
-//! Jobs, their extractions and their events, in SQLite. When a method has returned, its changes are on the disk (`synchronous = FULL`).
+//! Jobs, their extractions and their events, in SQLite. A method returns after its changes were flushed to the disk (`synchronous = FULL`).
 //!
-//! [`Store`] runs one transaction at a time on a blocking thread; [`requests`] has the transactions of clients, [`work`] those of the
-//! runner.
+//! [`Store`] runs one transaction at a time on a blocking thread. [`requests`] has the transactions of clients, and [`work`] has the
+//! transactions of the runner.
 
 pub(super) mod requests;
 pub(super) mod work;
@@ -17,13 +17,13 @@ use tokio::sync::Mutex;
 use super::error::{JobError, StoreError};
 use super::state::{Cause, Estimate, JobEvent, JobInfo, JobState, Progress};
 
-/// Migrations in order. A store of version n has had the first n.
+/// Migrations in order. The first n of them lead to version n of the store.
 const MIGRATIONS: [&str; 2] = [include_str!("schema.sql"), include_str!("schema-2.sql")];
 
-/// Maximum wait for another process that reads the store, such as a backup. It holds the store for moments only.
+/// Maximum wait for another process that locks the store, such as a backup.
 const BUSY_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// Columns that [`job_info`] reads.
+/// Columns that [`job_info`] reads, by their positions. The last one is the number of owners with unfinished jobs.
 const JOB_COLUMNS: &str = "id, volume, state, total, done, failed, empty, bytes, seconds, estimated_triangles, estimated_bytes, \
     estimated_seconds, submitted, started, finished, error_code, error_detail, number, \
     (SELECT count(DISTINCT owner) FROM jobs WHERE state IN ('queued', 'running'))";
@@ -31,20 +31,20 @@ const JOB_COLUMNS: &str = "id, volume, state, total, done, failed, empty, bytes,
 /// The store. Clones are cheap.
 #[derive(Clone, Debug)]
 pub struct Store {
-    /// One connection, because SQLite writes one transaction at a time, and each takes some milliseconds. Tasks wait for it without
-    /// blocking a thread.
+    /// One connection, because SQLite runs one write transaction at a time anyway. The asynchronous mutex lets tasks wait without blocking
+    /// a thread.
     connection: Arc<Mutex<Connection>>,
-    /// Owner of the extraction that the runner took last. The runner takes from the owners in turn.
+    /// Owner of the extraction that the runner began most recently. The next one belongs to the next owner, because owners take turns.
     last_owner: Arc<std::sync::Mutex<String>>,
-    /// Path of the reserve ([`RESERVE_BYTES`]).
+    /// Path of the reserve file; see [`RESERVE_BYTES`].
     reserve: Arc<Path>,
 }
 
-/// Bytes of the reserve: a file that is removed if the disk is full, so that the end or the removal of a job can still be written.
+/// Bytes of the reserve file. If the disk is full, the store removes this file, so that it can still cancel and delete jobs.
 const RESERVE_BYTES: usize = 1 << 20;
 
 impl Store {
-    /// Opens the store in a file, which is created if it is missing, and migrates it.
+    /// Opens the store in a file, and migrates it to the current version. Creates the file if it does not exist.
     ///
     /// # Errors
     /// SQLite fails, or a newer version has written the store.
@@ -56,7 +56,7 @@ impl Store {
         connection.pragma_update(None, "foreign_keys", true)?;
         migrate(&mut connection)?;
         let reserve = file.with_extension("reserve");
-        keep_reserve(&reserve);
+        create_reserve(&reserve);
         Ok(Self {
             connection: Arc::new(Mutex::new(connection)),
             last_owner: Arc::default(),
@@ -64,8 +64,8 @@ impl Store {
         })
     }
 
-    /// Runs a transaction that frees space. If the disk is full, it is retried with the space of the reserve, which is created again as
-    /// soon as there is space.
+    /// Runs a transaction that cancels or deletes a job. If the disk is full, removes the reserve file and retries. Then creates the
+    /// reserve file again, if the disk has space.
     pub(super) async fn write_from_reserve<T: Send + 'static>(
         &self,
         work: impl Fn(&Transaction<'_>) -> Result<T, JobError> + Clone + Send + 'static,
@@ -73,18 +73,18 @@ impl Store {
         let outcome = match self.write(work.clone()).await {
             Err(JobError::Store(error)) if error.is_full() => {
                 tracing::warn!("the disk of the job store is full, its reserve is used");
-                // If there is no reserve, the retry fails too.
+                // An error is ignored: without a reserve, the retry fails too.
                 let _ = std::fs::remove_file(&self.reserve);
                 self.write(work).await
             }
             outcome => outcome,
         };
         let reserve = Arc::clone(&self.reserve);
-        let _ = tokio::task::spawn_blocking(move || keep_reserve(&reserve)).await;
+        let _ = tokio::task::spawn_blocking(move || create_reserve(&reserve)).await;
         outcome
     }
 
-    /// Runs a transaction, which may read and write, on a blocking thread. It is rolled back if `work` fails.
+    /// Runs a transaction on a blocking thread. The transaction may read and write. Rolls it back if `work` fails.
     pub(super) async fn write<T, E>(
         &self,
         work: impl FnOnce(&Transaction<'_>) -> Result<T, E> + Send + 'static,
@@ -94,17 +94,17 @@ impl Store {
         E: From<StoreError> + Send + 'static,
     {
         let mut connection = Arc::clone(&self.connection).lock_owned().await;
-        let done = tokio::task::spawn_blocking(move || {
-            let begun = connection.transaction_with_behavior(TransactionBehavior::Immediate);
-            let transaction = begun.map_err(StoreError::from)?;
+        let task = tokio::task::spawn_blocking(move || {
+            let transaction = connection.transaction_with_behavior(TransactionBehavior::Immediate);
+            let transaction = transaction.map_err(StoreError::from)?;
             let result = work(&transaction)?;
             transaction.commit().map_err(StoreError::from)?;
             Ok(result)
         });
-        done.await.unwrap_or_else(|_| Err(StoreError::Panicked.into()))
+        task.await.unwrap_or_else(|_| Err(StoreError::Panicked.into()))
     }
 
-    /// Returns the extractions that have a result: the id of the job, and the number of the extraction.
+    /// Returns all extractions that have a result, as pairs of a job's id and the number of the extraction.
     ///
     /// # Errors
     /// SQLite fails.
@@ -120,19 +120,19 @@ impl Store {
     }
 }
 
-/// Creates the reserve if there is none and the disk has space for it.
-fn keep_reserve(path: &Path) {
+/// Creates the reserve file, unless it exists or the disk has no space.
+fn create_reserve(path: &Path) {
     if path.exists() {
         return;
     }
     if let Err(error) = std::fs::write(path, vec![0; RESERVE_BYTES]) {
         tracing::debug!(%error, "there is no space for the reserve of the job store");
-        // Removes a reserve that was written in part.
+        // Removes a partial file.
         let _ = std::fs::remove_file(path);
     }
 }
 
-/// Runs the migrations that the store has not had.
+/// Runs the migrations that are missing.
 fn migrate(connection: &mut Connection) -> Result<(), StoreError> {
     let transaction = connection.transaction_with_behavior(TransactionBehavior::Immediate)?;
     let found: i64 = transaction.pragma_query_value(None, "user_version", |row| row.get(0))?;
@@ -145,20 +145,19 @@ fn migrate(connection: &mut Connection) -> Result<(), StoreError> {
     Ok(transaction.commit()?)
 }
 
-/// Seconds since 1970.
+/// Returns the current time in seconds since 1970.
 fn now() -> f64 {
     SystemTime::now()
         .duration_since(UNIX_EPOCH)
         .map_or(0.0, |since| since.as_secs_f64())
 }
 
-/// Parses a state as the store has it.
 fn parse_state(name: &str) -> Result<JobState, StoreError> {
-    let found = JobState::ALL.into_iter().find(|state| state.name() == name);
-    found.ok_or_else(|| StoreError::Malformed(format!("the state {name:?}")))
+    let state = JobState::ALL.into_iter().find(|state| state.name() == name);
+    state.ok_or_else(|| StoreError::Malformed(format!("the state {name:?}")))
 }
 
-/// Converts a row of [`JOB_COLUMNS`] to a job, and returns it with its number: the row id, by which other tables refer to the job.
+/// Converts a row of [`JOB_COLUMNS`] to a job. Returns the number of the job, by which other tables refer to it, and the job.
 fn job_info(row: &Row<'_>) -> Result<(i64, JobInfo), StoreError> {
     let state = parse_state(&row.get::<_, String>(2)?)?;
     let extractions = progress(row, 3)?;
@@ -191,28 +190,28 @@ fn job_info(row: &Row<'_>) -> Result<(i64, JobInfo), StoreError> {
     Ok((row.get(17)?, info))
 }
 
-/// Estimates the seconds that the remaining extractions take, from the mean of the finished ones (`seconds` in all), or from the estimate
-/// if none is finished. The caller multiplies them by the number of owners, who take turns.
+/// Estimates the seconds that the remaining extractions of a job take if no other owner has jobs. Uses the mean time of the finished
+/// extractions, or the estimate of the job if none is finished. `seconds` is the total time of the finished extractions.
 fn eta(extractions: Progress, seconds: f64, estimate: Estimate) -> f64 {
-    let left = (extractions.total - extractions.ended()) as f64;
-    let each = match extractions.done {
+    let remaining = (extractions.total - extractions.ended()) as f64;
+    let mean_seconds = match extractions.done {
         0 => estimate.seconds / extractions.total as f64,
         done => seconds / done as f64,
     };
-    left * each
+    remaining * mean_seconds
 }
 
-/// Reads the columns `total`, `done`, `failed` and `empty`, of which `from` is the first.
-fn progress(row: &Row<'_>, from: usize) -> Result<Progress, StoreError> {
+/// Reads the columns `total`, `done`, `failed` and `empty`, the first of which is at position `first_column`.
+fn progress(row: &Row<'_>, first_column: usize) -> Result<Progress, StoreError> {
     Ok(Progress {
-        total: row.get(from)?,
-        done: row.get(from + 1)?,
-        failed: row.get(from + 2)?,
-        empty: row.get(from + 3)?,
+        total: row.get(first_column)?,
+        done: row.get(first_column + 1)?,
+        failed: row.get(first_column + 2)?,
+        empty: row.get(first_column + 3)?,
     })
 }
 
-/// Adds an event of a job, with the job's present state.
+/// Adds an event with the current state of a job. `extraction` is the extraction that has ended, if one has.
 fn add_event(transaction: &Transaction<'_>, job: i64, extraction: Option<u32>) -> Result<(), StoreError> {
     let (name, extractions) = transaction.query_row(
         "SELECT state, total, done, failed, empty FROM jobs WHERE number = ?1",
@@ -231,9 +230,9 @@ fn add_event(transaction: &Transaction<'_>, job: i64, extraction: Option<u32>) -
     Ok(())
 }
 
-/// Flattens the result of a query for a row that may not exist: `None` if there is no row.
-fn optional<T>(found: rusqlite::Result<Result<T, StoreError>>) -> Result<Option<T>, StoreError> {
-    found.optional()?.transpose()
+/// Converts the result of a query for one row: `None` if there is no such row.
+fn optional<T>(row: rusqlite::Result<Result<T, StoreError>>) -> Result<Option<T>, StoreError> {
+    row.optional()?.transpose()
 }
 
 #[cfg(test)]

@@ -1,5 +1,5 @@
-//! Transactions of clients. Each names an owner, and finds only the jobs of this owner; only [`Store::counts`], for metrics, counts those of
-//! all.
+//! Transactions of clients. Each finds only the jobs of the given owner. The exception is [`Store::counts`], which counts the jobs of all
+//! owners for metrics.
 
 use data_encoding::HEXLOWER;
 use isopeel_extraction::MeasuredError;
@@ -14,54 +14,54 @@ use super::super::{Limits, MAX_JOBS, MAX_UNFINISHED_JOBS};
 use super::{JOB_COLUMNS, Store, add_event, job_info, now, optional};
 use crate::export::{FileRequest, Format};
 
-/// Maximum failures that are listed with a job.
+/// Maximum number of failures that the description of a job lists.
 const LISTED_FAILURES: u32 = 100;
-/// Maximum events that are read at once: some 10 KiB.
+/// Maximum number of events that one transaction reads, some 10 KiB.
 const EVENT_BATCH: u32 = 100;
 
-/// Identity of a request: its user, its idempotency key and its digest.
+/// Identity of a request, by which repeated requests are detected.
 #[derive(Clone, Debug)]
 pub struct RequestKey {
-    /// The user, who owns the job.
+    /// The user who sent the request, and who owns the job.
     pub owner: String,
-    /// The `Idempotency-Key`.
+    /// Value of the header `Idempotency-Key`.
     pub key: Option<String>,
-    /// SHA-256 of the request, by which a reused key is detected.
+    /// SHA-256 of the request. Another digest with the same key is an error.
     pub digest: Checksum,
 }
 
 /// A job to be stored.
 #[derive(Clone, Debug)]
 pub struct NewJob {
-    /// Its id.
+    /// Id of the job.
     pub id: String,
-    /// The request that submits it.
+    /// Identity of the request that submits the job.
     pub request: RequestKey,
-    /// Id of its volume.
+    /// Id of the volume.
     pub volume: String,
-    /// Identity of its input, as JSON.
+    /// An [`isopeel_volumes::InputIdentity`] as JSON: the input files that the job has pinned.
     pub input: String,
-    /// Each extraction, as JSON.
+    /// A [`FileRequest`] as JSON for each extraction.
     pub extractions: Vec<String>,
-    /// Its estimated cost.
+    /// Estimated cost of the job.
     pub estimate: Estimate,
 }
 
-/// A result, as the store knows it.
+/// What the store knows about a result.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ResultInfo {
-    /// Its length.
+    /// Length of the file in bytes.
     pub bytes: u64,
-    /// Its checksum.
+    /// SHA-256 of the file.
     pub checksum: Checksum,
-    /// Its format.
+    /// Format of the file.
     pub format: Format,
-    /// The isovalue of its surface, if the request has one.
+    /// Isovalue of the surface, if the request has one.
     pub iso: Option<f32>,
 }
 
 impl Store {
-    /// Returns the job that the same request created before, if any.
+    /// Returns the job that the same request has created before, if any.
     ///
     /// # Errors
     /// [`JobError::KeyReused`].
@@ -69,14 +69,14 @@ impl Store {
         self.write(move |transaction| repeated(transaction, &request)).await
     }
 
-    /// Stores a job, and returns it with `true`. If its request has created one before, returns that job with `false`.
+    /// Stores a job. Returns the job, and whether it is new. If the same request has created a job before, returns that job.
     ///
     /// # Errors
     /// The limit that the job exceeds.
     pub async fn submit(&self, job: NewJob, limits: Limits) -> Result<(JobInfo, bool), JobError> {
         self.write(move |transaction| {
-            if let Some(made) = repeated(transaction, &job.request)? {
-                return Ok((made, false));
+            if let Some(earlier) = repeated(transaction, &job.request)? {
+                return Ok((earlier, false));
             }
             check_limits(transaction, &job, limits)?;
             insert(transaction, &job)?;
@@ -88,7 +88,7 @@ impl Store {
     /// Returns all jobs of an owner, the latest first.
     ///
     /// # Errors
-    /// The store's.
+    /// [`JobError::Store`].
     pub async fn list(&self, owner: &str) -> Result<Vec<JobInfo>, JobError> {
         let owner = owner.to_owned();
         self.write(move |transaction| {
@@ -105,7 +105,7 @@ impl Store {
     /// Returns the number of jobs of all owners in each state.
     ///
     /// # Errors
-    /// The store's.
+    /// [`JobError::Store`].
     pub async fn counts(&self) -> Result<Vec<(JobState, u64)>, JobError> {
         self.write(|transaction| {
             let count = |state: JobState| -> Result<_, StoreError> {
@@ -132,7 +132,7 @@ impl Store {
         .await
     }
 
-    /// Ends a job that is queued or running. Its results stay.
+    /// Cancels a queued or running job. Results that are complete stay.
     ///
     /// # Errors
     /// [`JobError::UnknownJob`], [`JobError::Finished`].
@@ -144,16 +144,16 @@ impl Store {
                 let (job, state) = (id.clone(), info.state.name());
                 return Err(JobError::Finished { job, state });
             }
-            let changed = "UPDATE jobs SET state = ?2, finished = ?3 WHERE number = ?1";
+            let update = "UPDATE jobs SET state = ?2, finished = ?3 WHERE number = ?1";
             let values = (number, JobState::Cancelled.name(), now());
-            transaction.execute(changed, values).map_err(StoreError::from)?;
+            transaction.execute(update, values).map_err(StoreError::from)?;
             add_event(transaction, number, None)?;
             Ok(get(transaction, &owner, &id)?.1)
         })
         .await
     }
 
-    /// Removes a finished job from the store. The caller removes its files.
+    /// Removes a finished job from the store. The caller must remove the files of the job.
     ///
     /// # Errors
     /// [`JobError::UnknownJob`], [`JobError::NotFinished`].
@@ -171,7 +171,7 @@ impl Store {
         .await
     }
 
-    /// Returns some of the events of a job after the event `after`, and whether the job is finished.
+    /// Returns the next [`EVENT_BATCH`] events of a job after the event with id `after`, and whether the job is finished.
     ///
     /// # Errors
     /// [`JobError::UnknownJob`].
@@ -185,7 +185,7 @@ impl Store {
         .await
     }
 
-    /// Returns all extractions of a job, in their order.
+    /// Returns all extractions of a job, in the order of the request.
     ///
     /// # Errors
     /// [`JobError::UnknownJob`].
@@ -207,7 +207,7 @@ impl Store {
         self.write(move |transaction| {
             let (number, info) = get(transaction, &owner, &id)?;
             match result(transaction, number, extraction)? {
-                Ok(found) => Ok(found),
+                Ok(info) => Ok(info),
                 Err(why) => Err(JobError::NoResult {
                     why: why.unwrap_or_else(|| format!("is not there, the job has {}", info.extractions.total)),
                     job: id,
@@ -219,10 +219,11 @@ impl Store {
     }
 }
 
+/// Returns the number of a job, by which other tables refer to it, and the job.
 fn get(transaction: &Transaction<'_>, owner: &str, id: &str) -> Result<(i64, JobInfo), JobError> {
     let query = format!("SELECT {JOB_COLUMNS} FROM jobs WHERE owner = ?1 AND id = ?2");
-    let found = optional(transaction.query_row(&query, [owner, id], |row| Ok(job_info(row))))?;
-    found.ok_or_else(|| JobError::UnknownJob(id.to_owned()))
+    let job = optional(transaction.query_row(&query, [owner, id], |row| Ok(job_info(row))))?;
+    job.ok_or_else(|| JobError::UnknownJob(id.to_owned()))
 }
 
 fn repeated(transaction: &Transaction<'_>, request: &RequestKey) -> Result<Option<JobInfo>, JobError> {
@@ -296,9 +297,10 @@ fn insert(transaction: &Transaction<'_>, job: &NewJob) -> Result<(), StoreError>
         ),
     )?;
     let number = transaction.last_insert_rowid();
-    let mut row = transaction.prepare("INSERT INTO extractions (job, extraction, request) VALUES (?1, ?2, ?3)")?;
+    let mut insert_row =
+        transaction.prepare("INSERT INTO extractions (job, extraction, request) VALUES (?1, ?2, ?3)")?;
     for (extraction, request) in job.extractions.iter().enumerate() {
-        row.execute((number, extraction, request))?;
+        insert_row.execute((number, extraction, request))?;
     }
     add_event(transaction, number, None)
 }
@@ -372,7 +374,8 @@ fn events(transaction: &Transaction<'_>, job: i64, after: i64) -> Result<Vec<Job
     .collect()
 }
 
-/// Returns a result, or why there is none; `None` if there is no such extraction.
+/// Returns a result. If the extraction has none, returns `Err` with the end of a sentence that says why; `Err(None)` if the job has no such
+/// extraction.
 fn result(
     transaction: &Transaction<'_>,
     job: i64,
@@ -383,10 +386,10 @@ fn result(
     let row = transaction.query_row(query, (job, extraction), |row| {
         Ok(Ok((row.get(0)?, row.get(1)?, row.get(2)?, row.get(3)?, row.get(4)?)))
     });
-    let Some(found) = optional(row)? else {
+    let Some(columns) = optional(row)? else {
         return Ok(Err(None));
     };
-    let (request, state, bytes, checksum, detail): (String, String, u64, Option<Checksum>, String) = found;
+    let (request, state, bytes, checksum, detail): (String, String, u64, Option<Checksum>, String) = columns;
     Ok(match (state.as_str(), checksum) {
         ("done", Some(checksum)) => {
             let request = file_request(&request)?;

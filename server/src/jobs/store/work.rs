@@ -14,12 +14,12 @@ use super::requests::file_request;
 use super::{Store, add_event, now, optional};
 use crate::export::FileRequest;
 
-/// The extraction that is made next.
+/// An extraction whose attempt has begun.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Work {
-    /// Number of its job.
+    /// Number of the job in the store.
     pub(super) number: i64,
-    /// Id of its job.
+    /// Id of the job.
     pub job: String,
     /// Owner of the job.
     pub owner: String,
@@ -29,16 +29,16 @@ pub struct Work {
     pub request: FileRequest,
     /// Id of the volume.
     pub volume: String,
-    /// Identity of the job's input when it was submitted.
+    /// Input files that the job has pinned when it was submitted.
     pub input: InputIdentity,
-    /// Bytes that the results of the owner take.
+    /// Bytes of all results of the owner.
     pub bytes_taken: u64,
 }
 
 /// How an attempt ended.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Outcome {
-    /// The result is on the disk.
+    /// The result was flushed to the disk.
     Done {
         /// The written file.
         written: Written,
@@ -46,33 +46,35 @@ pub enum Outcome {
         triangles: u64,
         /// Error of the surface, if it was measured.
         error: Option<MeasuredError>,
-        /// Notices on what the file's format could not keep.
+        /// Notices about what the file format could not hold.
         notices: Vec<String>,
         /// Seconds that the attempt took.
         seconds: f64,
     },
     /// The surface has no triangles, and the request does not ask for an empty file.
     Empty(Cause),
-    /// There is no result; another attempt may succeed.
+    /// The attempt failed; another attempt may succeed.
     Failed(Cause),
-    /// There is no result, and no attempt will succeed.
+    /// The attempt failed, and every other attempt would fail too.
     Refused(Cause),
     /// No extraction of the job will succeed.
     JobFailed(Cause),
-    /// The attempt does not count, because its failure was not caused by the extraction.
+    /// The attempt does not count, because the extraction did not cause its failure.
     GivenBack,
 }
 
 impl Store {
-    /// Takes the next extraction and counts the attempt. Owners with unfinished jobs take turns, each with their oldest job, so that an
-    /// owner of many jobs does not delay the others. An extraction that has had all its attempts fails.
+    /// Begins an attempt at the next extraction, and counts the attempt. Returns `None` if no extraction is waiting.
+    ///
+    /// Owners with unfinished jobs take turns, so that an owner of many jobs does not delay the others. The oldest unfinished job of an
+    /// owner is next. An extraction that has used all of its attempts fails.
     ///
     /// # Errors
     /// [`StoreError`].
     pub async fn begin(&self) -> Result<Option<Work>, StoreError> {
         let last_owner = || self.last_owner.lock().unwrap_or_else(PoisonError::into_inner);
         let after = last_owner().clone();
-        let begun = self.write(move |transaction| {
+        let next_work = self.write(move |transaction| {
             while let Some((number, extraction, attempts)) = next(transaction, &after)? {
                 if attempts < MAX_ATTEMPTS {
                     return start(transaction, number, extraction).map(Some);
@@ -86,14 +88,14 @@ impl Store {
             }
             Ok(None)
         });
-        let begun: Option<Work> = begun.await?;
-        if let Some(work) = &begun {
+        let next_work: Option<Work> = next_work.await?;
+        if let Some(work) = &next_work {
             last_owner().clone_from(&work.owner);
         }
-        Ok(begun)
+        Ok(next_work)
     }
 
-    /// Records how an attempt ended. Returns false if its result is no longer wanted, because the job was cancelled and perhaps deleted.
+    /// Records how an attempt ended. Returns false, without a change, if the job is no longer running: a user has cancelled or deleted it.
     ///
     /// # Errors
     /// [`StoreError`].
@@ -113,9 +115,10 @@ impl Store {
     }
 }
 
-/// Returns job, number and attempts of the next extraction. It belongs to the owner that follows `after`, by name and round robin.
+/// Returns the next extraction: number of its job, its own number, and its attempts so far. Owners are sorted by name and served round
+/// robin; `after` is the previous owner.
 fn next(transaction: &Transaction<'_>, after: &str) -> Result<Option<(i64, u32, u32)>, StoreError> {
-    // Sorts jobs rather than extractions, because there are far fewer jobs.
+    // Finds the job first, because sorting all waiting extractions would take longer.
     let query = "SELECT number FROM jobs WHERE state IN ('queued', 'running')
         AND EXISTS (SELECT 1 FROM extractions WHERE job = number AND state = 'waiting') ORDER BY owner <= ?1, owner, number LIMIT 1";
     let Some(number): Option<i64> = optional(transaction.query_row(query, [after], |row| Ok(Ok(row.get(0)?))))? else {
@@ -204,14 +207,14 @@ fn apply(transaction: &Transaction<'_>, number: i64, extraction: u32, outcome: &
             fail(transaction, number, extraction, cause)?;
         }
         Outcome::JobFailed(cause) => {
-            let changed =
+            let update =
                 "UPDATE jobs SET state = 'failed', finished = ?2, error_code = ?3, error_detail = ?4 WHERE number = ?1";
-            transaction.execute(changed, (number, now(), &cause.code, &cause.detail))?;
+            transaction.execute(update, (number, now(), &cause.code, &cause.detail))?;
             return add_event(transaction, number, None);
         }
         Outcome::GivenBack => {
-            let changed = "UPDATE extractions SET attempts = attempts - 1 WHERE job = ?1 AND extraction = ?2";
-            transaction.execute(changed, (number, extraction))?;
+            let update = "UPDATE extractions SET attempts = attempts - 1 WHERE job = ?1 AND extraction = ?2";
+            transaction.execute(update, (number, extraction))?;
             return Ok(());
         }
     }
@@ -222,7 +225,7 @@ fn fail(transaction: &Transaction<'_>, number: i64, extraction: u32, cause: &Cau
     end_without_result(transaction, number, extraction, "failed", cause)
 }
 
-/// Ends an extraction as `failed` or `empty`. The job's column that counts such extractions has the same name.
+/// Ends an extraction as `failed` or `empty`. `state` is also the name of the job's column that counts such extractions.
 fn end_without_result(
     transaction: &Transaction<'_>,
     number: i64,
@@ -239,7 +242,8 @@ fn end_without_result(
     Ok(())
 }
 
-/// Ends the job if this extraction was its last one: it has failed if one of them has, or if all are empty.
+/// Adds an event for an extraction that has ended, and ends its job if no other extraction remains. The job fails if an extraction has
+/// failed, or if all surfaces are empty.
 fn finish_job(transaction: &Transaction<'_>, number: i64, extraction: u32) -> Result<(), StoreError> {
     transaction.execute(
         "UPDATE jobs SET finished = ?2,

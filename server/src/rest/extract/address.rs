@@ -1,5 +1,5 @@
-//! `GET /api/v1/extract`: returns a surface as a file, from a query string that contains the whole request. The response has an entity tag
-//! that is a hash of the bytes, so that a client can revalidate a file that it has, or continue a partial download.
+//! `GET /api/v1/extract`: returns a surface as a file. The query string contains the whole request. The entity tag of the response is a
+//! hash of the bytes, so that a client can revalidate a cached file or resume a partial download.
 
 use std::num::NonZero;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -20,13 +20,13 @@ use crate::problem::{ApiError, Problem};
 use crate::rest::content_encoding::ContentEncoding;
 use crate::rest::ranges::RequestedRange;
 
-/// Query parameters whose values are text, even if they look like numbers.
+/// Query parameters whose values are strings, even if they look like numbers.
 const TEXT_PARAMETERS: [&str; 9] = [
     "volume", "format", "field", "feature", "mask", "outward", "unit", "label", "compress",
 ];
 
-/// Headers that make a cache revalidate the file each time, even for the same user: the volume, or the user's access to it, may have
-/// changed.
+/// Headers for caches: only the user's own cache may store the file, and it must revalidate the file each time, because the volume or the
+/// user's access to it may have changed.
 const CACHE_HEADERS: [(HeaderName, HeaderValue); 2] = [
     (header::CACHE_CONTROL, HeaderValue::from_static("private, no-cache")),
     (
@@ -35,10 +35,11 @@ const CACHE_HEADERS: [(HeaderName, HeaderValue); 2] = [
     ),
 ];
 
-/// Maximum number of files whose digests are remembered.
+/// Maximum number of remembered digests.
 const MAX_KNOWN_DIGESTS: NonZero<usize> = NonZero::new(1024).expect("not 0");
 
-/// Digests of the files that were made, by the keys of their requests. Equal requests give equal bytes while the volume does not change.
+/// Cache of digests by the keys of requests, so that a client can revalidate a file that the server does not have any more. Equal requests
+/// give equal bytes, unless the volume changes; the key includes its identity.
 #[derive(Clone, Debug)]
 pub(in crate::rest) struct KnownDigests(Arc<Mutex<LruCache<RequestKey, FileDigest>>>);
 
@@ -48,16 +49,16 @@ impl Default for KnownDigests {
     }
 }
 
-/// SHA-256 of everything in a request that decides the bytes of its file.
+/// SHA-256 of all parts of a request that determine the bytes of the file.
 type RequestKey = [u8; 32];
 
 fn request_key(surfaces: &[FileSurface], file: &FileRequest) -> RequestKey {
-    let of_surface = |surface: &FileSurface| {
+    let text_of = |surface: &FileSurface| {
         let (volume, view) = (surface.volume.key(), &surface.view);
         format!("{volume:?} {} {view:?}", surface.request.is_colored())
     };
-    let all: Vec<String> = surfaces.iter().map(of_surface).collect();
-    Sha256::digest(format!("{:?} {all:?}", file.options)).into()
+    let surfaces: Vec<String> = surfaces.iter().map(text_of).collect();
+    Sha256::digest(format!("{:?} {surfaces:?}", file.options)).into()
 }
 
 impl KnownDigests {
@@ -74,17 +75,17 @@ impl KnownDigests {
     }
 }
 
-/// Returns the hash that a file's entity tag contains.
+/// Returns the hash for the entity tag of a file.
 fn hash(digest: FileDigest) -> String {
     HEXLOWER.encode(&digest.hash.to_be_bytes())
 }
 
-/// Returns the strong tag of a file's bytes in this encoding.
+/// Returns the strong entity tag of a file in this encoding.
 fn tag(digest: FileDigest, encoding: ContentEncoding) -> String {
     encoding.tag(&hash(digest))
 }
 
-/// Whether the client states in `If-None-Match` that it has the file of this digest, in any encoding.
+/// Whether `If-None-Match` states that the client has the file with this digest, in any encoding.
 fn client_has(headers: &HeaderMap, digest: FileDigest) -> bool {
     ContentEncoding::is_known(headers, &hash(digest))
 }
@@ -138,11 +139,11 @@ pub async fn extract_by_address(
     let Query(query) = query?;
     let refused = |message| ApiError::new(StatusCode::BAD_REQUEST, "bad-request", message);
     let ExtractRequest { volume, file } = parse_query(query).map_err(refused)?;
-    // Checks access to the volume before the client's tags.
+    // Checks access to the volume first: the response to a tag would reveal that the volume exists.
     let volume = state.volume(&who, &volume, file.step)?;
     let others = other_volumes(&state, &who, &file)?;
     let surfaces = file.surfaces(&volume, &others)?;
-    // A file whose bytes are not reproducible is made for each request, and its digest is not remembered.
+    // A file that is not reproducible is made for each request, and its digest is not remembered.
     let is_reproducible = file.options.is_reproducible();
     let (key, known) = (request_key(&surfaces, &file), state.known_digests.clone());
     let encoding = ContentEncoding::accepted(&headers);
@@ -152,7 +153,7 @@ pub async fn extract_by_address(
     if let Some(digest) = unchanged {
         return not_modified(digest, encoding);
     }
-    let made = Source { volume, others }.made(state, &who, file).await?;
+    let made = Source { volume, others }.export(state, &who, file).await?;
     let digest = made.digest;
     if is_reproducible {
         known.insert(key, digest);
@@ -160,10 +161,10 @@ pub async fn extract_by_address(
     if client_has(&headers, digest) {
         return not_modified(digest, encoding);
     }
-    let own_tag = tag(digest, ContentEncoding::Identity);
-    let mut response = match RequestedRange::from_headers(&headers, &own_tag, digest.bytes) {
-        RequestedRange::NotSatisfiable(answer) => answer,
-        RequestedRange::Part(range) => with_tag(made.range(range)?, &own_tag)?,
+    let identity_tag = tag(digest, ContentEncoding::Identity);
+    let mut response = match RequestedRange::from_headers(&headers, &identity_tag, digest.bytes) {
+        RequestedRange::NotSatisfiable(response) => response,
+        RequestedRange::Part(range) => with_tag(made.range(range)?, &identity_tag)?,
         RequestedRange::Whole => with_tag(made.whole(encoding)?, &tag(digest, encoding))?,
     };
     let ranges = HeaderValue::from_static("bytes");
@@ -188,7 +189,7 @@ fn with_tag(mut response: Response, tag: &str) -> Result<Response, ApiError> {
 /// Parses the parameters of a query.
 ///
 /// # Errors
-/// What is wrong with the query, for the client.
+/// A message for the client that says what is wrong with the query.
 fn parse_query(query: Vec<(String, String)>) -> Result<ExtractRequest, String> {
     let mut fields = Map::new();
     for (name, text) in query {
@@ -203,7 +204,8 @@ fn parse_query(query: Vec<(String, String)>) -> Result<ExtractRequest, String> {
     serde_json::from_value(Value::Object(fields)).map_err(|error| error.to_string())
 }
 
-/// Parses the value of a parameter as JSON. Text that is not JSON is a string, unless it begins like an object or a list.
+/// Parses the value of a parameter as JSON. Text that is not JSON becomes a string. Invalid JSON that begins like an object or a list is an
+/// error.
 fn parse_value(name: &str, text: String) -> Result<Value, String> {
     match serde_json::from_str(&text) {
         Err(error) if text.starts_with(['{', '[']) => Err(format!("{name}: expected JSON, found {text:?}: {error}")),

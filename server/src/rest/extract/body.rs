@@ -1,5 +1,5 @@
-//! The body of an export. A blocking thread writes it as fast as the client reads. The bytes that a slow client has not read yet go to a
-//! temporary file, so that mesh, permit and thread are free for other requests.
+//! The body of an export. A blocking thread writes the file as fast as the client reads. For a slow client, the thread writes the rest to a
+//! temporary file, so that memory, permit and thread are free for other requests.
 
 use std::io::{self, Write};
 use std::sync::Arc;
@@ -14,14 +14,15 @@ use super::spool::{Spool, SpoolFolder};
 use crate::export::{ExportError, MadeFile};
 use crate::rest::content_encoding::ContentEncoding;
 
-/// Bytes of a chunk of the body.
+/// Maximum bytes of a chunk of the body.
 const CHUNK_BYTES: usize = 256 * 1024;
-/// Maximum chunks queued between writer and socket, 1 MiB: on a fast connection neither waits for the other.
+/// Maximum number of chunks that are queued between writer and socket: 1 MiB, enough that they do not wait for each other on a fast
+/// connection.
 const QUEUED_CHUNKS: usize = 4;
-/// Time after which a client that reads no chunk is disconnected, as on the WebSocket: its spooled file takes space.
+/// A client that reads no chunk for this long is disconnected, because its spooled file occupies space. The stream has the same limit.
 const CHUNK_DEADLINE: Duration = Duration::from_secs(20);
 
-/// Total time that a client may keep the writer waiting before the rest is spooled.
+/// Total time that the writer waits for a client before it spools the rest.
 const SPOOL_AFTER: Duration = Duration::from_secs(2);
 
 /// The part of a file that is sent.
@@ -33,7 +34,7 @@ pub(super) enum Part {
     Range([u64; 2]),
 }
 
-/// Sends a part of a file. Holds the permit until the mesh is released: once everything is sent or spooled.
+/// Returns a body that sends a part of a file. Drops the permit together with the mesh, when all bytes are sent or spooled.
 pub(super) fn send(file: MadeFile, part: Part, permit: impl Send + 'static, spool: SpoolFolder) -> Body {
     let patience = Patience {
         deadline: CHUNK_DEADLINE,
@@ -45,9 +46,9 @@ pub(super) fn send(file: MadeFile, part: Part, permit: impl Send + 'static, spoo
 /// How long the writer waits for a client.
 #[derive(Clone, Copy)]
 struct Patience {
-    /// Maximum wait for one chunk.
+    /// Maximum wait for a single chunk.
     deadline: Duration,
-    /// Total wait before the rest is spooled.
+    /// Maximum total wait; then the writer spools the rest.
     spool_after: Duration,
 }
 
@@ -68,10 +69,11 @@ fn send_with(
         spool: None,
         failed: None,
     };
-    let is_whole = Arc::new(AtomicBool::new(false));
-    let all_sent = Arc::clone(&is_whole);
+    let is_complete = Arc::new(AtomicBool::new(false));
+    let all_sent = Arc::clone(&is_complete);
     tokio::spawn(async move {
-        // The last sender is dropped only after `all_sent` is set, so that the receiver can tell a complete body from one that is cut off.
+        // This task drops the last sender after it has set `all_sent`, so that the receiver can distinguish a complete body from a
+        // truncated one.
         match write_and_send((file, permit), part, writer, &chunks).await {
             Ok(()) => all_sent.store(true, Ordering::Release),
             Err(error) => tracing::debug!(
@@ -83,17 +85,17 @@ fn send_with(
     let mut has_ended = false;
     let chunks = futures_util::stream::poll_fn(move |context| {
         queue.poll_recv(context).map(|chunk| {
-            let is_cut_off = chunk.is_none() && !has_ended && !is_whole.load(Ordering::Acquire);
+            let is_truncated = chunk.is_none() && !has_ended && !is_complete.load(Ordering::Acquire);
             has_ended = chunk.is_none();
-            // Ends the body with an error. Otherwise a compressed body that is cut off would look complete.
-            let cut_off = is_cut_off.then(|| Err(io::Error::from(io::ErrorKind::BrokenPipe)));
-            chunk.map(Ok).or(cut_off)
+            // Ends a truncated body with an error. Otherwise a compressed body, which has no declared length, would look complete.
+            let error = is_truncated.then(|| Err(io::Error::from(io::ErrorKind::BrokenPipe)));
+            chunk.map(Ok).or(error)
         })
     });
     Body::from_stream(chunks)
 }
 
-/// Writes a part of a file on a blocking thread, and then sends the bytes that were spooled.
+/// Writes a part of a file on a blocking thread, then sends the spooled bytes.
 async fn write_and_send(
     (file, permit): (MadeFile, impl Send + 'static),
     part: Part,
@@ -101,27 +103,27 @@ async fn write_and_send(
     chunks: &mpsc::Sender<Bytes>,
 ) -> Result<(), ExportError> {
     let deadline = writer.deadline;
-    let writing = tokio::task::spawn_blocking(move || {
+    let task = tokio::task::spawn_blocking(move || {
         let written = write(&file, part, io::BufWriter::with_capacity(CHUNK_BYTES, &mut writer));
         drop((file, permit));
         written.map(|()| writer.spool)
     });
-    match writing.await.map_err(io::Error::from)?? {
+    match task.await.map_err(io::Error::from)?? {
         Some(spool) => Ok(send_spooled(spool, chunks, deadline).await?),
         None => Ok(()),
     }
 }
 
-/// Sends spooled bytes as the client reads them, without a thread of its own.
+/// Sends spooled bytes as fast as the client reads. Occupies a blocking thread only while it reads a chunk from the file.
 async fn send_spooled(mut spool: Spool, chunks: &mpsc::Sender<Bytes>, deadline: Duration) -> io::Result<()> {
     loop {
-        let reading = tokio::task::spawn_blocking(move || {
+        let task = tokio::task::spawn_blocking(move || {
             let chunk = spool.next_chunk(CHUNK_BYTES);
             (spool, chunk)
         });
-        let (read, chunk) = reading.await?;
+        let (returned_spool, chunk) = task.await?;
         let Some(chunk) = chunk? else { return Ok(()) };
-        spool = read;
+        spool = returned_spool;
         let sent = chunks.send_timeout(chunk, deadline).await;
         sent.map_err(|error| match error {
             mpsc::error::SendTimeoutError::Timeout(_) => io::ErrorKind::TimedOut,
@@ -140,6 +142,7 @@ fn write(file: &MadeFile, part: Part, out: impl Write) -> Result<(), ExportError
                 left: to - from,
             };
             match file.write(&mut window) {
+                // The window fails on purpose after the last byte of the range.
                 Err(_) if window.left == 0 => {}
                 other => other?,
             }
@@ -148,12 +151,12 @@ fn write(file: &MadeFile, part: Part, out: impl Write) -> Result<(), ExportError
     }
 }
 
-/// Passes on a range of the written bytes, and fails after the last byte of the range.
+/// Writer that forwards only a range of the bytes. Fails after the last byte of the range, so that the rest of the file is not made.
 struct Window<W> {
     out: W,
     /// Bytes to skip before the range begins.
     skip: u64,
-    /// Bytes of the range that were not passed on yet.
+    /// Bytes of the range that were not forwarded yet.
     left: u64,
 }
 
@@ -176,22 +179,23 @@ impl<W: Write> Write for Window<W> {
     }
 }
 
-/// Sends each write to the socket's task as one chunk, or to a temporary file.
+/// Writer that sends each write as a chunk to the task of the socket, or appends it to a temporary file.
 struct ChunkWriter {
     chunks: mpsc::Sender<Bytes>,
     runtime: Handle,
+    /// Maximum wait for a single chunk.
     deadline: Duration,
-    /// Time that the writer still waits for the client before it spools.
+    /// Rest of the total wait before the writer spools.
     patience: Duration,
     spool_folder: SpoolFolder,
     spool: Option<Spool>,
-    /// Error of an earlier write. All later writes then fail at once: an encoder or a buffer flushes when it is dropped, and would wait
-    /// once more.
+    /// Error of an earlier write. All later writes fail with this error at once. Otherwise an encoder or buffer, which flushes when it is
+    /// dropped, would wait for the client once more.
     failed: Option<io::ErrorKind>,
 }
 
 impl ChunkWriter {
-    /// Sends a chunk once the client has read enough earlier chunks. Returns false if that takes longer than `limit`.
+    /// Sends a chunk when the queue has space. Returns false if the queue has no space for `limit`.
     fn send(&mut self, chunk: Bytes, limit: Duration) -> io::Result<bool> {
         match self.runtime.block_on(self.chunks.send_timeout(chunk, limit)) {
             Ok(()) => Ok(true),
@@ -205,7 +209,7 @@ impl ChunkWriter {
         kind.into()
     }
 
-    /// Appends a part to the spooled bytes. If there is no space for it, the export ends.
+    /// Appends bytes to the temporary file. If that fails, logs a warning, and the export ends.
     fn spool(&mut self, part: &[u8]) -> io::Result<()> {
         let spooled = match &mut self.spool {
             Some(spool) => spool.append(part),
@@ -236,7 +240,7 @@ impl Write for ChunkWriter {
                 self.patience = self.patience.saturating_sub(start.elapsed());
                 return Ok(part.len());
             }
-            // The client has read nothing for the whole deadline.
+            // Here the wait was limited by the deadline for one chunk, not by the patience.
             if self.patience >= self.deadline {
                 return Err(self.fail(io::ErrorKind::TimedOut));
             }

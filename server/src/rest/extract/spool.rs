@@ -10,13 +10,13 @@ use axum::body::Bytes;
 
 use isopeel_volumes::disk::free_bytes;
 
-/// Maximum bytes of all spooled exports.
+/// Maximum total bytes of all spooled exports.
 const SPOOL_BYTES: u64 = 8 << 30;
 
-/// Bytes that must stay free on the folder's disk.
+/// Bytes that must stay free on the disk of the folder.
 const RESERVE_BYTES: u64 = 64 << 20;
 
-/// The folder to which exports are spooled. Clones share it.
+/// The folder for spooled exports. Clones share its limit.
 #[derive(Clone, Debug)]
 pub struct SpoolFolder(Arc<Shared>);
 
@@ -35,7 +35,7 @@ impl Default for SpoolFolder {
 }
 
 impl SpoolFolder {
-    /// Spools exports to unnamed files in this folder.
+    /// Creates a spool folder. Its files have no names, so that none are left after a crash.
     pub fn new(path: PathBuf) -> Self {
         Self::limited(path, SPOOL_BYTES)
     }
@@ -55,7 +55,7 @@ impl SpoolFolder {
         })
     }
 
-    /// Reserves `bytes` more, if there is space for them.
+    /// Reserves `bytes` if the limit and the disk have space for them.
     fn reserve(&self, bytes: u64) -> io::Result<()> {
         let Shared { path, limit, used } = &*self.0;
         let before = used.fetch_add(bytes, Ordering::Relaxed);
@@ -70,13 +70,14 @@ impl SpoolFolder {
     }
 }
 
-/// Bytes that a client has not read yet, in an unnamed file.
+/// An unnamed file with the bytes that a client has not read yet.
 #[derive(Debug)]
 pub(super) struct Spool {
     file: File,
     folder: SpoolFolder,
-    /// Bytes that were written, and that are reserved in the folder.
+    /// Bytes that were written. They are reserved in the folder.
     written: u64,
+    /// Bytes that were read.
     read: u64,
 }
 
@@ -88,7 +89,7 @@ impl Spool {
         self.file.write_all(bytes)
     }
 
-    /// Returns the next bytes, at most `limit`; `None` at the end. To be called after everything was appended.
+    /// Returns the next bytes, at most `limit`; `None` at the end. Call this only after all bytes were appended.
     pub fn next_chunk(&mut self, limit: usize) -> io::Result<Option<Bytes>> {
         if self.read == 0 {
             self.file.rewind()?;

@@ -1,4 +1,4 @@
-//! What happens to a batch job, as server-sent events.
+//! Events of a batch job as server-sent events.
 
 use std::collections::VecDeque;
 use std::convert::Infallible;
@@ -50,15 +50,15 @@ pub(super) async fn events(
     let Path(id) = id?;
     let after = last_event_id(&headers)?;
     let seat = state.events.take(Occupant::from(&who));
-    let seat = seat.map_err(|none| ApiError::busy(none.to_string()))?;
+    let seat = seat.map_err(|refused| ApiError::busy(refused.to_string()))?;
     let changes = jobs.changes();
-    let (first, is_finished) = jobs.events(who.user(), &id, after).await?;
-    if first.is_empty() && is_finished {
+    let (first_events, is_finished) = jobs.events(who.user(), &id, after).await?;
+    if first_events.is_empty() && is_finished {
         return Ok(StatusCode::NO_CONTENT.into_response());
     }
-    let followed = Followed {
-        after: first.last().and_then(|event| event.id).unwrap_or(after),
-        waiting: first.into(),
+    let event_stream = EventStream {
+        after: first_events.last().and_then(|event| event.id).unwrap_or(after),
+        unsent: first_events.into(),
         paused: None,
         jobs,
         who,
@@ -66,7 +66,7 @@ pub(super) async fn events(
         changes,
         _seat: seat,
     };
-    let events = futures_util::stream::unfold(followed, Followed::next);
+    let events = futures_util::stream::unfold(event_stream, EventStream::next);
     Ok(Sse::new(events).keep_alive(KeepAlive::default()).into_response())
 }
 
@@ -81,35 +81,35 @@ fn last_event_id(headers: &HeaderMap) -> Result<i64, ApiError> {
     })
 }
 
-/// A job whose events are sent to a client.
-struct Followed {
+/// State of the stream that sends the events of a job to a client.
+struct EventStream {
     jobs: Jobs,
     who: Identity,
     id: String,
     /// Id of the last event that was read from the store.
     after: i64,
-    /// Events of one query that were not sent yet.
-    waiting: VecDeque<JobEvent>,
-    /// Reason of the pause that the client was last told; `None` if it was told none.
+    /// Events that were read from the store, but not sent yet.
+    unsent: VecDeque<JobEvent>,
+    /// Reason of the pause in the last event about a pause; `None` if the job is not paused by this event, or if there was none.
     paused: Option<String>,
     changes: watch::Receiver<()>,
     _seat: Seat,
 }
 
-impl Followed {
-    /// Returns the next event, as soon as there is one. `None` if the job is finished or gone, the client's token is no longer valid, or
-    /// the server stops.
+impl EventStream {
+    /// Waits for the next event. Returns `None` if the job is finished or was deleted, the token of the client is no longer valid, or the
+    /// server stops.
     async fn next(mut self) -> Option<(Result<Event, Infallible>, Self)> {
-        while self.waiting.is_empty() {
+        while self.unsent.is_empty() {
             self.changes.mark_unchanged();
             let (events, is_finished) = self.jobs.events(self.who.user(), &self.id, self.after).await.ok()?;
             if let Some(last) = events.last() {
                 self.after = last.id.unwrap_or(self.after);
-                self.waiting = events.into();
+                self.unsent = events.into();
             } else if is_finished {
                 return None;
-            } else if let Some(event) = self.pause().await? {
-                self.waiting.push_back(event);
+            } else if let Some(event) = self.pause_event().await? {
+                self.unsent.push_back(event);
             } else {
                 tokio::select! {
                     changed = self.changes.changed() => changed.ok()?,
@@ -118,7 +118,7 @@ impl Followed {
                 }
             }
         }
-        let event = self.waiting.pop_front()?;
+        let event = self.unsent.pop_front()?;
         let sent = Event::default().event(event.name());
         let sent = match event.id {
             Some(id) => sent.id(id.to_string()),
@@ -127,8 +127,8 @@ impl Followed {
         Some((Ok(sent.json_data(&event).ok()?), self))
     }
 
-    /// Returns an event if the job has been paused or resumed since the client was last told. The outer `None` means that the job is gone.
-    async fn pause(&mut self) -> Option<Option<JobEvent>> {
+    /// Returns an event if the job has been paused or resumed since the last such event. The outer `None` means that the job was deleted.
+    async fn pause_event(&mut self) -> Option<Option<JobEvent>> {
         let event = self.jobs.pause(self.who.user(), &self.id, self.paused.as_deref());
         let event = event.await.ok()?;
         if let Some(event) = &event {

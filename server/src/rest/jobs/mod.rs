@@ -1,4 +1,4 @@
-//! Batch jobs.
+//! Routes of batch jobs.
 
 mod events;
 mod result;
@@ -19,10 +19,10 @@ use crate::access::Identity;
 use crate::jobs::{JobInfo, JobRequest, Jobs, MAX_REQUEST_BYTES, ManifestEntry};
 use crate::problem::{ApiError, Problem};
 
-/// Header that identifies a request, so that a repeated request creates no second job.
+/// Header that identifies a request, so that a repeated request does not create another job.
 pub const KEY_HEADER: HeaderName = HeaderName::from_static("idempotency-key");
 
-/// The paths of batch jobs.
+/// Returns the routes of batch jobs.
 pub(super) fn routed() -> OpenApiRouter<ApiState> {
     OpenApiRouter::new()
         .routes(routes!(submit, list))
@@ -35,7 +35,7 @@ pub(super) fn routed() -> OpenApiRouter<ApiState> {
 }
 
 impl ApiState {
-    /// Returns the batch jobs, or an error if the server keeps none.
+    /// Returns the batch jobs, or an error if the server has no state folder for them.
     fn jobs(&self) -> Result<&Jobs, ApiError> {
         self.jobs.as_ref().ok_or_else(|| {
             let message = "this server keeps no batch jobs, expected one that was started with --state-folder DIR";

@@ -17,7 +17,7 @@ use crate::rest::ApiState;
 use crate::rest::extract::File;
 use crate::rest::ranges::{RequestedRange, content_range};
 
-/// SHA-256 of a whole result (RFC 9530).
+/// Header with the SHA-256 of a whole result, `Repr-Digest` (RFC 9530).
 pub const DIGEST_HEADER: HeaderName = HeaderName::from_static("repr-digest");
 
 /// The result of an extraction, from 0. One range is answered as such.
@@ -58,42 +58,42 @@ pub(super) async fn result(
 ) -> Result<Response, ApiError> {
     let jobs = state.jobs()?;
     let Path((id, extraction)) = path?;
-    let found = jobs.result(who.user(), &id, extraction).await?;
-    let etag = etag(&found);
-    if headers.get(header::IF_NONE_MATCH).is_some_and(|shown| *shown == *etag) {
+    let info = jobs.result(who.user(), &id, extraction).await?;
+    let etag = etag(&info);
+    if headers.get(header::IF_NONE_MATCH).is_some_and(|tag| *tag == *etag) {
         return Ok((StatusCode::NOT_MODIFIED, [(header::ETAG, etag)]).into_response());
     }
-    let range = match RequestedRange::from_headers(&headers, &etag, found.bytes) {
+    let range = match RequestedRange::from_headers(&headers, &etag, info.bytes) {
         RequestedRange::Whole => None,
         RequestedRange::Part(range) => Some(range),
-        RequestedRange::NotSatisfiable(answer) => return Ok(answer),
+        RequestedRange::NotSatisfiable(response) => return Ok(response),
     };
-    let part = range.clone().unwrap_or(0..found.bytes);
+    let part = range.clone().unwrap_or(0..info.bytes);
     let body = Body::from_stream(jobs.read(&id, extraction, part.clone()).await?);
-    let name = format!("attachment; filename=\"{}\"", download_name(extraction, &found));
-    let answer = Response::builder()
-        .header(header::CONTENT_TYPE, found.format.content_type())
+    let name = format!("attachment; filename=\"{}\"", download_name(extraction, &info));
+    let response = Response::builder()
+        .header(header::CONTENT_TYPE, info.format.content_type())
         .header(header::CONTENT_LENGTH, part.end - part.start)
         .header(header::CONTENT_DISPOSITION, name)
         .header(header::ACCEPT_RANGES, "bytes")
         .header(header::CACHE_CONTROL, "private, no-cache")
-        .header(DIGEST_HEADER, format!("sha-256=:{}:", STANDARD.encode(found.checksum)))
+        .header(DIGEST_HEADER, format!("sha-256=:{}:", STANDARD.encode(info.checksum)))
         .header(header::ETAG, etag);
-    let answer = match range {
-        None => answer,
-        Some(range) => answer
+    let response = match range {
+        None => response,
+        Some(range) => response
             .status(StatusCode::PARTIAL_CONTENT)
-            .header(header::CONTENT_RANGE, content_range(&range, found.bytes)),
+            .header(header::CONTENT_RANGE, content_range(&range, info.bytes)),
     };
-    answer.body(body).map_err(ApiError::internal)
+    response.body(body).map_err(ApiError::internal)
 }
 
-/// Returns the name that a browser gives the download, such as `00002-517.5.glb`: number of the extraction and isovalue.
-fn download_name(extraction: u32, found: &ResultInfo) -> String {
-    let iso = found.iso.map(|iso| format!("-{iso}")).unwrap_or_default();
-    format!("{extraction:05}{iso}.{}", found.format.extension())
+/// Returns the file name of a download, such as `00002-517.5.glb`: number of the extraction and isovalue.
+fn download_name(extraction: u32, info: &ResultInfo) -> String {
+    let iso = info.iso.map(|iso| format!("-{iso}")).unwrap_or_default();
+    format!("{extraction:05}{iso}.{}", info.format.extension())
 }
 
-fn etag(found: &ResultInfo) -> String {
-    format!("\"{}\"", HEXLOWER.encode(&found.checksum))
+fn etag(info: &ResultInfo) -> String {
+    format!("\"{}\"", HEXLOWER.encode(&info.checksum))
 }

@@ -1,27 +1,27 @@
-//! Why the server closes a connection. Normative: `PROTOCOL.md`, section 5.
+//! Why the server closes a connection. `PROTOCOL.md`, section 5, is normative.
 
-/// Why the server closes a connection; the codes are those of the table in `PROTOCOL.md`.
+/// Why the server closes a connection. The values are the close codes of WebSocket.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CloseCode {
     /// The server shuts down.
     Shutdown = 1001,
-    /// A frame that violates the WebSocket protocol.
+    /// The client has sent a frame that violates the WebSocket protocol.
     Protocol = 1002,
-    /// A binary frame from the client.
+    /// The client has sent a binary frame.
     Binary = 1003,
-    /// A text frame that is not UTF-8.
+    /// The client has sent a text frame that is not UTF-8.
     NotText = 1007,
-    /// A message over [`MAX_MESSAGE_BYTES`](super::MAX_MESSAGE_BYTES).
+    /// The client has sent a message of more than [`MAX_MESSAGE_BYTES`](super::MAX_MESSAGE_BYTES).
     TooLong = 1009,
-    /// Too many malformed messages in a row.
+    /// The client has sent [`MAX_MALFORMED`](super::MAX_MALFORMED) consecutive malformed messages.
     Malformed = 4000,
-    /// A frame was not taken within the deadline.
+    /// The client did not read a frame within the deadline.
     SlowReader = 4001,
-    /// The server has its maximum of viewers.
+    /// The server has its maximum number of viewers.
     TooManyViewers = 4002,
-    /// No frame for too long, not even a pong.
+    /// The client has sent no frame for too long, not even a pong.
     Silent = 4003,
-    /// The token that let the client in has expired, or was revoked.
+    /// The client's token has expired or was revoked.
     TokenEnded = 4004,
 }
 

@@ -1,4 +1,4 @@
-//! A viewer that reads as fast as it can: it counts chunks and bytes, and decodes nothing.
+//! A client of the stream that reads as fast as it can. It counts chunks and bytes, and decodes nothing.
 
 use std::collections::BTreeMap;
 use std::net::SocketAddr;
@@ -11,10 +11,10 @@ use tokio::time::{Instant, timeout, timeout_at};
 
 use super::StreamError;
 
-/// Longest wait for a frame: a volume of many gigabytes is read and uploaded meanwhile.
+/// Maximum wait for a frame. The server may have to read and upload a volume of many gigabytes before it sends one.
 const FRAME_TIMEOUT: Duration = Duration::from_secs(300);
 
-/// Time without a frame of a generation after which the server has settled.
+/// The server has settled if no generation is running and no frame arrives for this long.
 const QUIET: Duration = Duration::from_secs(2);
 
 /// A text frame to the server.
@@ -40,7 +40,7 @@ struct Done {
     statistics: Statistics,
 }
 
-/// Of a generation, by the server.
+/// Statistics of a generation, as the server states them.
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(rename_all = "camelCase")]
 pub struct Statistics {
@@ -55,20 +55,20 @@ pub struct Statistics {
 }
 
 impl Statistics {
-    /// Sum of the stages.
+    /// Returns the sum of all stages.
     pub fn device_ms(&self) -> f64 {
         self.stages_ms.values().sum()
     }
 }
 
-/// One edit from the call to its `done`, with times since the call.
+/// Measurements of one edit. All times begin when the client sends the edit.
 #[derive(Clone, Debug, Default)]
 pub struct Streamed {
-    /// To `opened`, if the edit came with an `open`.
+    /// Time to `opened`, if the client has sent `open` before the edit.
     pub opened: Option<Duration>,
-    /// To the first `committed`; `None` if nothing had to be shown.
+    /// Time to the first `committed`; `None` if the edit did not change the surface.
     pub first: Option<Duration>,
-    /// To `done`.
+    /// Time to `done`.
     pub done: Duration,
     pub prefixes: u64,
     pub chunks: u64,
@@ -76,24 +76,24 @@ pub struct Streamed {
     pub statistics: Statistics,
 }
 
-/// Measurements of a viewer while a value was dragged.
+/// Measurements of a drag.
 #[derive(Clone, Debug, Default)]
 pub struct Dragged {
-    /// Prefixes committed until one interval after the last edit.
+    /// Number of prefixes that were committed until one interval after the last edit.
     pub commits: u64,
-    /// Maximum time without one, during the drag.
+    /// Maximum time without a commit during the drag.
     pub longest_gap: Duration,
-    /// From the last edit to the last `done`.
+    /// Time from the last edit to the last `done`.
     pub settle: Duration,
-    /// Of all chunks, those after the drag included.
+    /// Bytes of all chunks, including those after the drag.
     pub bytes: u64,
-    /// Of the last `done`.
+    /// Statistics of the last `done`.
     pub statistics: Statistics,
     /// Whether a generation has begun and not ended.
-    working: bool,
+    is_working: bool,
 }
 
-/// A viewer's connection.
+/// A connection to the server.
 pub struct Client {
     connection: Connection,
     volume: String,
@@ -113,12 +113,16 @@ impl Client {
         self.connection.send(&Request::Open { volume, step }).await
     }
 
-    async fn next_in_time(&mut self) -> Result<RawFrame, StreamError> {
+    /// Returns the next frame.
+    ///
+    /// # Errors
+    /// No frame arrives within [`FRAME_TIMEOUT`].
+    async fn next_frame(&mut self) -> Result<RawFrame, StreamError> {
         let next = timeout(FRAME_TIMEOUT, self.connection.next()).await;
         Ok(next.map_err(|_| StreamError::Silent(FRAME_TIMEOUT))??)
     }
 
-    /// Opens a step and waits for the view that it opens with.
+    /// Opens a time step, and returns the view with which it opens.
     pub async fn open(&mut self, step: u32) -> Result<Edit, StreamError> {
         #[derive(Deserialize)]
         struct Opened {
@@ -126,7 +130,7 @@ impl Client {
         }
         self.send_open(step).await?;
         loop {
-            if let RawFrame::Text(text) = self.next_in_time().await?
+            if let RawFrame::Text(text) = self.next_frame().await?
                 && kind(&text)? == "opened"
             {
                 let opened: Opened = serde_json::from_str(&text).map_err(Error::from)?;
@@ -135,14 +139,14 @@ impl Client {
         }
     }
 
-    /// Sends an edit and reads to its `done`.
+    /// Sends an edit, and reads until its `done`.
     pub async fn edit(&mut self, edit: &Edit) -> Result<Streamed, StreamError> {
         let start = Instant::now();
         self.connection.send(&Request::Edit(edit)).await?;
         self.read_to_done(start).await
     }
 
-    /// Opens another step and sends an edit right behind, as the protocol allows, and reads to its `done`.
+    /// Opens another time step, sends an edit without waiting, which the protocol allows, and reads until its `done`.
     pub async fn step(&mut self, step: u32, edit: &Edit) -> Result<Streamed, StreamError> {
         let start = Instant::now();
         self.send_open(step).await?;
@@ -151,36 +155,36 @@ impl Client {
     }
 
     async fn read_to_done(&mut self, start: Instant) -> Result<Streamed, StreamError> {
-        let mut seen = Streamed::default();
+        let mut streamed = Streamed::default();
         loop {
-            let text = match self.next_in_time().await? {
+            let text = match self.next_frame().await? {
                 RawFrame::Chunk(chunk) => {
-                    seen.chunks += 1;
-                    seen.bytes += chunk.len() as u64;
+                    streamed.chunks += 1;
+                    streamed.bytes += chunk.len() as u64;
                     continue;
                 }
                 RawFrame::Text(text) => text,
             };
             let now = start.elapsed();
             match kind(&text)? {
-                "opened" => seen.opened = Some(now),
+                "opened" => streamed.opened = Some(now),
                 "committed" => {
-                    seen.prefixes += 1;
-                    seen.first.get_or_insert(now);
+                    streamed.prefixes += 1;
+                    streamed.first.get_or_insert(now);
                 }
                 "done" => {
-                    seen.done = now;
-                    seen.statistics = statistics(&text)?;
-                    return Ok(seen);
+                    streamed.done = now;
+                    streamed.statistics = statistics(&text)?;
+                    return Ok(streamed);
                 }
                 _ => {}
             }
         }
     }
 
-    /// Sends edits in even intervals while it reads, then reads until the server has settled.
+    /// Sends edits at regular intervals while it reads frames, then reads until the server has settled.
     pub async fn drag(&mut self, edits: &[Edit], interval: Duration) -> Result<Dragged, StreamError> {
-        let mut seen = Dragged::default();
+        let mut dragged = Dragged::default();
         let start = Instant::now();
         let (mut last_edit, mut last_commit, mut due) = (start, start, start);
         for edit in edits {
@@ -188,39 +192,39 @@ impl Client {
             self.connection.send(&Request::Edit(edit)).await?;
             due += interval;
             while let Ok(frame) = timeout_at(due, self.connection.next()).await {
-                if seen.count(&frame?, last_edit)? {
-                    seen.commits += 1;
-                    seen.longest_gap = seen.longest_gap.max(last_commit.elapsed());
+                if dragged.count(&frame?, last_edit)? {
+                    dragged.commits += 1;
+                    dragged.longest_gap = dragged.longest_gap.max(last_commit.elapsed());
                     last_commit = Instant::now();
                 }
             }
         }
-        seen.longest_gap = seen.longest_gap.max(last_commit.elapsed());
-        self.settle(seen, last_edit).await
+        dragged.longest_gap = dragged.longest_gap.max(last_commit.elapsed());
+        self.settle(dragged, last_edit).await
     }
 
-    /// Reads until the server has nothing more to do for this viewer, work at rest included.
+    /// Reads until the server has settled, which includes its work for a viewer at rest.
     pub async fn rest(&mut self) -> Result<(), StreamError> {
         self.settle(Dragged::default(), Instant::now()).await.map(drop)
     }
 
-    async fn settle(&mut self, mut seen: Dragged, last_edit: Instant) -> Result<Dragged, StreamError> {
+    async fn settle(&mut self, mut dragged: Dragged, last_edit: Instant) -> Result<Dragged, StreamError> {
         loop {
-            // In the midst of a generation the server may be silent for longer.
-            let limit = if seen.working { FRAME_TIMEOUT } else { QUIET };
+            // Waits longer while a generation is running, because the server may have to load a volume.
+            let limit = if dragged.is_working { FRAME_TIMEOUT } else { QUIET };
             match timeout(limit, self.connection.next()).await {
                 Ok(frame) => {
-                    seen.count(&frame?, last_edit)?;
+                    dragged.count(&frame?, last_edit)?;
                 }
-                Err(_) if seen.working => return Err(StreamError::Silent(FRAME_TIMEOUT)),
-                Err(_) => return Ok(seen),
+                Err(_) if dragged.is_working => return Err(StreamError::Silent(FRAME_TIMEOUT)),
+                Err(_) => return Ok(dragged),
             }
         }
     }
 }
 
 impl Dragged {
-    /// Whether the frame is a `committed`.
+    /// Adds a frame to the measurements. Returns whether the frame is `committed`.
     fn count(&mut self, frame: &RawFrame, last_edit: Instant) -> Result<bool, Error> {
         let text = match frame {
             RawFrame::Chunk(chunk) => {
@@ -231,20 +235,20 @@ impl Dragged {
         };
         match kind(text)? {
             "done" => {
-                self.working = false;
+                self.is_working = false;
                 self.settle = last_edit.elapsed();
                 self.statistics = statistics(text)?;
             }
-            "superseded" => self.working = false,
+            "superseded" => self.is_working = false,
             "measured" => {}
             "committed" => return Ok(true),
-            _ => self.working = true,
+            _ => self.is_working = true,
         }
         Ok(false)
     }
 }
 
-/// Returns the kind of a text frame; an `error` is returned as an error.
+/// Returns the type of a text frame. A frame of the type `error` becomes an error.
 fn kind(text: &str) -> Result<&str, Error> {
     let reply: Reply<'_> = serde_json::from_str(text)?;
     if reply.kind == "error" {

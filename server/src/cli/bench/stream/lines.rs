@@ -1,4 +1,4 @@
-//! The output lines of the stream.
+//! The output lines of the case `stream`.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -10,7 +10,7 @@ use super::super::{Args, Spread, round};
 use super::Setting;
 use super::client::{Dragged, Streamed};
 
-/// One kind of edit at one setting.
+/// The output line of one kind of edit at one setting.
 #[derive(Serialize)]
 pub(super) struct StreamLine<'a> {
     volume: &'a str,
@@ -22,24 +22,24 @@ pub(super) struct StreamLine<'a> {
     setting: &'a str,
     edit: &'static str,
     repeats: u32,
-    /// If the setting is a budget.
+    /// Budget of the setting, if it has one.
     #[serde(skip_serializing_if = "Option::is_none")]
     budget_triangles: Option<u64>,
-    /// From `open` to `opened`.
+    /// Time from `open` to `opened`.
     #[serde(skip_serializing_if = "Option::is_none")]
     opened_ms: Option<Spread>,
-    /// To the first `committed`; `None` if no run had to show anything.
+    /// Time to the first `committed`; `None` if no run had one.
     #[serde(skip_serializing_if = "Option::is_none")]
     first_ms: Option<Spread>,
-    /// To `done`.
+    /// Time to `done`.
     done_ms: Spread,
-    /// The server's own work.
+    /// Time of the work in the server.
     wall_ms: Spread,
-    /// Sum of all stages.
+    /// Sum of the device times of all stages.
     device_ms: Spread,
     /// Device time of each stage in the run with the best device time.
     stages_ms: BTreeMap<String, f64>,
-    // All below: of the last run.
+    // The fields below are values of the last run.
     beta: Option<f32>,
     tolerance: Option<f32>,
     prefixes: u64,
@@ -53,9 +53,9 @@ pub(super) struct StreamLine<'a> {
 
 impl<'a> StreamLine<'a> {
     pub fn new(args: &Args, recipe: &'a Recipe, setting: &'a Setting, edit: &'static str, runs: &[Streamed]) -> Self {
-        let spread = |of: &dyn Fn(&Streamed) -> f64| Spread::of(runs.iter().map(of));
-        let optional = |of: fn(&Streamed) -> Option<Duration>| {
-            let times: Vec<f64> = runs.iter().filter_map(of).map(milliseconds).collect();
+        let spread = |time_of: &dyn Fn(&Streamed) -> f64| Spread::of(runs.iter().map(time_of));
+        let optional_spread = |time_of: fn(&Streamed) -> Option<Duration>| {
+            let times: Vec<f64> = runs.iter().filter_map(time_of).map(milliseconds).collect();
             (!times.is_empty()).then(|| Spread::of(times))
         };
         let best = runs
@@ -74,8 +74,8 @@ impl<'a> StreamLine<'a> {
             edit,
             repeats: args.repeats,
             budget_triangles: setting.budget,
-            opened_ms: optional(|run| run.opened),
-            first_ms: optional(|run| run.first),
+            opened_ms: optional_spread(|run| run.opened),
+            first_ms: optional_spread(|run| run.first),
             done_ms: spread(&|run| milliseconds(run.done)),
             wall_ms: spread(&|run| run.statistics.wall_ms),
             device_ms: spread(&|run| run.statistics.device_ms()),
@@ -93,7 +93,7 @@ impl<'a> StreamLine<'a> {
     }
 }
 
-/// One drag.
+/// The output line of one drag.
 #[derive(Serialize)]
 pub(super) struct DragLine<'a> {
     volume: &'a str,
@@ -114,7 +114,7 @@ pub(super) struct DragLine<'a> {
 }
 
 impl<'a> DragLine<'a> {
-    pub fn new(args: &Args, recipe: &'a Recipe, edit: &'static str, hz: f64, edits: usize, seen: &Dragged) -> Self {
+    pub fn new(args: &Args, recipe: &'a Recipe, edit: &'static str, hz: f64, edits: usize, dragged: &Dragged) -> Self {
         Self {
             volume: &recipe.name,
             dims: recipe.grid.dims,
@@ -125,11 +125,11 @@ impl<'a> DragLine<'a> {
             hz,
             seconds: args.drag_seconds,
             edits,
-            commits: seen.commits,
-            longest_gap_ms: milliseconds(seen.longest_gap),
-            settle_ms: milliseconds(seen.settle),
-            encoded_bytes: seen.bytes,
-            triangles: seen.statistics.triangles,
+            commits: dragged.commits,
+            longest_gap_ms: milliseconds(dragged.longest_gap),
+            settle_ms: milliseconds(dragged.settle),
+            encoded_bytes: dragged.bytes,
+            triangles: dragged.statistics.triangles,
         }
     }
 }

@@ -1,4 +1,4 @@
-//! The whole server, on a free port of this machine.
+//! The server that the case `stream` measures, on a free port of this machine.
 
 use std::net::SocketAddr;
 
@@ -21,7 +21,7 @@ pub struct Server {
 }
 
 impl Server {
-    /// As `isopeel serve` starts it, without a limit of triangles.
+    /// Starts a server as `isopeel serve` does, without authentication and without a limit of triangles.
     pub async fn start(dataset: Dataset, device: &DeviceArgs) -> Result<Self, StreamError> {
         let types = dataset.fields.iter().map(|field| field.sample_type).collect();
         let mut catalog = Catalog::default();
@@ -39,7 +39,7 @@ impl Server {
         })
     }
 
-    /// Ends it, and with it the engine: the next one of this process needs that.
+    /// Stops the server and closes its engine, so that this process can open another engine.
     pub async fn stop(self) -> Result<(), StreamError> {
         self.shutdown.cancel();
         Ok(self.task.await.map_err(std::io::Error::other)??)
