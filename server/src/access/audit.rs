@@ -8,7 +8,7 @@ mod writer;
 use std::io;
 use std::net::IpAddr;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{self, SyncSender, TrySendError};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant, SystemTime};
@@ -37,6 +37,9 @@ const WRITE_INTERVAL: Duration = Duration::from_secs(1);
 /// Maximum number of lines that wait for the disk, some 200 bytes each. If the queue is full, lines are dropped instead of delaying
 /// requests, and a later line states their number.
 const QUEUE: usize = 4_096;
+
+/// Pause before a flush tries again to enter a full queue.
+const FULL_QUEUE_PAUSE: Duration = Duration::from_millis(1);
 
 /// The result of a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -85,9 +88,17 @@ pub struct Audit(Arc<Shared>);
 #[derive(Debug)]
 struct Shared {
     commands: SyncSender<Command>,
+    notes: Arc<Notes>,
+}
+
+/// State that the writer reads beside its queue, so that a full queue loses none of it.
+#[derive(Debug, Default)]
+struct Notes {
     /// Number of dropped lines that no line has stated yet.
-    lost: Arc<AtomicU64>,
-    refusals: Arc<Mutex<Refusals>>,
+    lost: AtomicU64,
+    /// Whether the writer must open the file again.
+    must_reopen: AtomicBool,
+    refusals: Mutex<Refusals>,
 }
 
 /// Why the audit log cannot be opened.
@@ -109,37 +120,37 @@ impl Audit {
             source,
         };
         let (commands, receiver) = mpsc::sync_channel(QUEUE);
-        let (lost, refusals) = (Arc::new(AtomicU64::new(0)), Arc::default());
-        let writer = Writer::open(path, &lost, &refusals).map_err(fail)?;
+        let notes = Arc::default();
+        let writer = Writer::open(path, &notes).map_err(fail)?;
         let thread = std::thread::Builder::new().name("audit".into());
         thread.spawn(move || writer.run(&receiver)).map_err(fail)?;
-        Ok(Self(Arc::new(Shared {
-            commands,
-            lost,
-            refusals,
-        })))
+        Ok(Self(Arc::new(Shared { commands, notes })))
     }
 
-    /// Opens the file again, after log rotation has moved it away.
+    /// Opens the file again before the next line, after log rotation has moved it away.
     pub fn reopen(&self) {
-        self.send(Command::Reopen);
+        self.0.notes.must_reopen.store(true, Ordering::Relaxed);
     }
 
     /// Waits until all lines are in the file, but at most for `limit`.
     pub fn flush(&self, limit: Duration) {
+        let end = Instant::now() + limit;
         let (done, flushed) = mpsc::sync_channel(1);
-        self.send(Command::Flush(done));
-        let _ = flushed.recv_timeout(limit);
-    }
-
-    fn send(&self, command: Command) {
-        if let Err(TrySendError::Full(Command::Write(_))) = self.0.commands.try_send(command) {
-            self.0.lost.fetch_add(1, Ordering::Relaxed);
+        let mut command = Command::Flush(done);
+        while let Err(TrySendError::Full(unsent)) = self.0.commands.try_send(command) {
+            if Instant::now() >= end {
+                return;
+            }
+            std::thread::sleep(FULL_QUEUE_PAUSE);
+            command = unsent;
         }
+        let _ = flushed.recv_timeout(end.saturating_duration_since(Instant::now()));
     }
 
     fn write(&self, line: &Line<'_>) {
-        self.send(Command::Write(line.text()));
+        if let Err(TrySendError::Full(_)) = self.0.commands.try_send(Command::Write(line.text())) {
+            self.0.notes.lost.fetch_add(1, Ordering::Relaxed);
+        }
     }
 
     /// Writes a refusal, or only counts it if one of the same kind was written within [`COUNTING_PERIOD`]. So clients without a token
@@ -155,7 +166,7 @@ impl Audit {
                 .map(|(user, token)| (user.into(), token.into())),
             peer: line.peer.map(counted_as),
         };
-        let is_first = lock(&self.0.refusals).count(kind, Instant::now());
+        let is_first = lock(&self.0.notes.refusals).count(kind, Instant::now());
         if is_first {
             self.write(line);
         }
@@ -416,11 +427,10 @@ mod tests {
     #[test]
     fn a_disk_that_is_slow_holds_up_nobody_and_what_is_lost_is_counted() {
         let (commands, received) = mpsc::sync_channel(2);
-        let lost = Arc::new(AtomicU64::new(0));
+        let notes = Arc::<Notes>::default();
         let audit = Audit(Arc::new(Shared {
             commands,
-            lost: Arc::clone(&lost),
-            refusals: Arc::default(),
+            notes: Arc::clone(&notes),
         }));
         for _ in 0..5 {
             audit
@@ -429,9 +439,21 @@ mod tests {
         }
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("audit");
-        let writer = Writer::open(&path, &lost, &Arc::default()).unwrap();
+        let old = folder.path().join("audit.1");
+        let writer = Writer::open(&path, &notes).unwrap();
+        std::fs::rename(&path, &old).unwrap();
+        // The queue is full.
+        audit.reopen();
+        let waiting = audit.clone();
+        let flushed = std::thread::spawn(move || {
+            let begun = Instant::now();
+            waiting.flush(Duration::from_secs(60));
+            begun.elapsed()
+        });
         drop(audit);
         writer.run(&received);
+        assert!(flushed.join().unwrap() < Duration::from_secs(60));
+        assert!(lines(&old).is_empty());
         let lines = lines(&path);
         assert_eq!(lines.len(), 3, "{lines:?}");
         assert_eq!((&lines[0]["event"], &lines[0]["count"]), (&"lost".into(), &3.into()));

@@ -153,8 +153,11 @@ impl TokenFile {
             other => other.map_err(|source| self.io(source))?,
         };
         self.check_mode(&file.metadata().map_err(|source| self.io(source))?)?;
-        let read = file.take(MAX_FILE_BYTES).read_to_string(&mut text);
+        let read = file.take(MAX_FILE_BYTES + 1).read_to_string(&mut text);
         read.map_err(|source| self.io(source))?;
+        if text.len() as u64 > MAX_FILE_BYTES {
+            return Err(self.malformed(format!("more than {MAX_FILE_BYTES} bytes")));
+        }
         let contents: Contents = serde_json::from_str(&text).map_err(|error| self.malformed(error.to_string()))?;
         if contents.version != VERSION {
             return Err(self.malformed(format!("version {}", contents.version)));

@@ -245,8 +245,12 @@ fn read_transfer_function(path: &Path) -> Result<TransferFunctionJson, TransferF
     let read = || {
         let mut text = String::new();
         File::open(path)?
-            .take(MAX_TRANSFER_FUNCTION_BYTES)
+            .take(MAX_TRANSFER_FUNCTION_BYTES + 1)
             .read_to_string(&mut text)?;
+        if text.len() as u64 > MAX_TRANSFER_FUNCTION_BYTES {
+            let why = format!("more than {MAX_TRANSFER_FUNCTION_BYTES} bytes");
+            return Err(io::Error::new(io::ErrorKind::FileTooLarge, why));
+        }
         Ok(serde_json::from_str(&text)?)
     };
     read().map_err(|source| TransferFunctionError {

@@ -53,6 +53,9 @@ const MAX_EXPIRY_INTERVAL: Duration = Duration::from_secs(60);
 /// uploads are lost.
 const MAX_GRACE_PERIOD: Duration = Duration::from_secs(3600);
 
+/// Stands for a time of use plus a retention beyond what the system's clock can hold.
+const CENTURY: Duration = Duration::from_secs(100 * 365 * 86_400);
+
 /// For each overdue upload, by its id, the time at which its expiry was first noticed.
 type Overdue = HashMap<String, Instant>;
 
@@ -181,9 +184,10 @@ impl Uploads {
     fn expiry(&self, upload: &Upload) -> SystemTime {
         let status = upload.status();
         let keep = self.retention(status.state);
-        // 100 years, in case the sum overflows.
-        let latest = status.used + Duration::from_secs(100 * 365 * 86_400);
-        status.used.checked_add(keep).unwrap_or(latest)
+        status
+            .used
+            .checked_add(keep)
+            .unwrap_or_else(|| SystemTime::now() + CENTURY)
     }
 
     /// Locks the map of uploads.

@@ -3,19 +3,16 @@
 use std::fs::{File, OpenOptions};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender};
-use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-use super::refusals::Refusals;
-use super::{COUNTING_PERIOD, Line, Outcome, WRITE_INTERVAL, lock, now};
+use super::{COUNTING_PERIOD, Line, Notes, Outcome, WRITE_INTERVAL, lock, now};
 
 /// A command to the writer.
 pub(super) enum Command {
     Write(Vec<u8>),
-    /// Opens the file again, after it was moved away.
-    Reopen,
     /// Replies after all earlier lines were written.
     Flush(SyncSender<()>),
 }
@@ -31,24 +28,21 @@ fn open(path: &Path) -> io::Result<File> {
 pub(super) struct Writer {
     path: PathBuf,
     file: File,
-    /// Number of lines that were dropped because the queue was full, and that no line has stated yet.
-    lost: Arc<AtomicU64>,
-    refusals: Arc<Mutex<Refusals>>,
+    notes: Arc<Notes>,
     /// Whether an error was logged. Further errors are not logged until a write succeeds.
     error_logged: bool,
 }
 
 impl Writer {
-    /// Opens the file, or creates it. The writer adds lines that state the number of `lost` lines and the counts of `refusals`.
+    /// Opens the file, or creates it. The writer adds lines that state the number of lost lines and the counts of refusals in `notes`.
     ///
     /// # Errors
     /// The file cannot be opened.
-    pub(super) fn open(path: &Path, lost: &Arc<AtomicU64>, refusals: &Arc<Mutex<Refusals>>) -> io::Result<Self> {
+    pub(super) fn open(path: &Path, notes: &Arc<Notes>) -> io::Result<Self> {
         Ok(Self {
             path: path.to_owned(),
             file: open(path)?,
-            lost: Arc::clone(lost),
-            refusals: Arc::clone(refusals),
+            notes: Arc::clone(notes),
             error_logged: false,
         })
     }
@@ -62,6 +56,9 @@ impl Writer {
                 Err(RecvTimeoutError::Timeout) => None,
                 Err(RecvTimeoutError::Disconnected) => return self.write_counts(Duration::ZERO),
             };
+            if self.notes.must_reopen.swap(false, Ordering::Relaxed) {
+                self.reopen();
+            }
             if counts_written.elapsed() >= WRITE_INTERVAL {
                 self.write_counts(COUNTING_PERIOD);
                 counts_written = Instant::now();
@@ -69,17 +66,13 @@ impl Writer {
             let Some(command) = command else { continue };
             match command {
                 Command::Write(line) => {
-                    let lost = self.lost.swap(0, Ordering::Relaxed);
+                    let lost = self.notes.lost.swap(0, Ordering::Relaxed);
                     if lost > 0 {
                         let line = serde_json::json!({"time": now(), "event": "lost", "count": lost});
                         self.write(format!("{line}\n").as_bytes());
                     }
                     self.write(&line);
                 }
-                Command::Reopen => match open(&self.path) {
-                    Ok(file) => self.file = file,
-                    Err(error) => tracing::error!(%error, "the audit log cannot be opened again, the old file goes on"),
-                },
                 Command::Flush(done) => {
                     self.write_counts(Duration::ZERO);
                     let _ = done.send(());
@@ -88,9 +81,16 @@ impl Writer {
         }
     }
 
+    fn reopen(&mut self) {
+        match open(&self.path) {
+            Ok(file) => self.file = file,
+            Err(error) => tracing::error!(%error, "the audit log cannot be opened again, the old file goes on"),
+        }
+    }
+
     /// Writes the counts of the kinds whose first refusal was at least `age` ago.
     fn write_counts(&mut self, age: Duration) {
-        let counts = lock(&self.refusals).take_due(Instant::now(), age);
+        let counts = lock(&self.notes.refusals).take_due(Instant::now(), age);
         for (kind, count) in counts {
             let who = kind.who.as_ref();
             let line = Line {
