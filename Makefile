@@ -147,13 +147,14 @@ test-web: web-client ## the web client's unit tests
 
 # The dev profile: it checks overflow and debug assertions, and what tests wait for is optimised.
 # No examples, which are linted, and no tests in documentation, of which there are none.
-# Random cases are the same in each run, so that only a change makes it fail; `make fuzz` draws new ones.
-# Twice as many threads as cores of a small machine, for many tests wait.
-test-rust: export RUST_TEST_THREADS ?= 4
-# More than there are cores: many tests wait most of their time, for a dead line or a driver that hangs.
-TEST_THREADS := $(shell echo $$(($$(nproc) + 2)))
-test-rust: web-client ## Rust: unit, twin, property and end-to-end tests on the OpenCL device
-	PROPTEST_RNG_SEED=2013 RUST_TEST_THREADS=$(TEST_THREADS) cargo test --locked --workspace --tests --no-fail-fast
+test-rust: build-tests ## Rust: unit, twin, property and end-to-end tests on the OpenCL device
+	($(call beside,test-kernels,test-units)) || units=failed; tests/scripts/rust-tests.sh end-to-end; test -z "$${units:-}"
+
+.PHONY: test-kernels test-units
+test-kernels: build-tests
+	tests/scripts/rust-tests.sh kernels
+test-units: build-tests
+	tests/scripts/rust-tests.sh others
 
 KILLS ?= 100
 VIEWERS ?= 1000
