@@ -184,7 +184,7 @@ impl IntoResponse for ApiError {
             headers.insert(header::WWW_AUTHENTICATE, HeaderValue::from_static("Bearer"));
         }
         if let Some(time) = self.retry_after {
-            // Rounds up to whole seconds, so that no client retries too early.
+            // Whole seconds plus one, so that no client retries too early.
             headers.insert(header::RETRY_AFTER, (time.as_secs() + 1).into());
         } else if self.code == "busy" {
             headers.insert(header::RETRY_AFTER, RETRY_AFTER);

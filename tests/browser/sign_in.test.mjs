@@ -107,7 +107,7 @@ for (const alg of ["RS256", "ES256"])
 
       // Somebody of no group that has a role here.
       await signIn(page, "bob");
-      await page.getByText("none of your groups has a role here").waitFor();
+      await page.getByText("none of your groups has a role on this server").waitFor();
       assert.ok(!page.url().includes("sign-in-failed"), page.url());
       assert.equal(await page.evaluate(async () => (await fetch("api/v1/volumes")).status), 401);
 

@@ -22,7 +22,7 @@ const PIECE: usize = 1 << 12;
 ///
 /// # Errors
 /// Positions beyond 32 bits, or the errors of `out`.
-pub fn write(mesh: &Mesh, out: &mut impl Write) -> Result<(), ExportError> {
+pub fn write(mesh: &Mesh, out: &mut dyn Write) -> Result<(), ExportError> {
     let is_anatomical = mesh.frame.is_anatomical();
     let space = match is_anatomical {
         true => "NIFTI_XFORM_SCANNER_ANAT",
@@ -84,7 +84,7 @@ fn topology(mesh: &Mesh) -> &'static str {
 }
 
 /// Writes the start tag of an array with `rows` rows of three numbers.
-fn begin(out: &mut impl Write, intent: &str, kind: &str, rows: usize) -> Result<(), ExportError> {
+fn begin(out: &mut dyn Write, intent: &str, kind: &str, rows: usize) -> Result<(), ExportError> {
     writeln!(
         out,
         "<DataArray Intent=\"{intent}\" DataType=\"{kind}\" ArrayIndexingOrder=\"RowMajorOrder\" Dimensionality=\"2\" \
@@ -94,7 +94,7 @@ fn begin(out: &mut impl Write, intent: &str, kind: &str, rows: usize) -> Result<
     Ok(())
 }
 
-fn end(out: &mut impl Write) -> Result<(), ExportError> {
+fn end(out: &mut dyn Write) -> Result<(), ExportError> {
     out.write_all(b"</Data>\n</DataArray>\n")?;
     Ok(())
 }
@@ -116,7 +116,7 @@ fn texts(pairs: &[(&str, String)]) -> String {
 
 /// Writes rows as zlib in base64.
 fn compressed<T: bytemuck::Pod>(
-    out: &mut impl Write,
+    out: &mut dyn Write,
     mut rows: impl Iterator<Item = [T; 3]>,
 ) -> Result<(), ExportError> {
     let mut encoder = ZlibEncoder::new(EncoderWriter::new(out, &STANDARD), LEVEL);

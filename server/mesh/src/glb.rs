@@ -38,7 +38,7 @@ const TRIANGLES: u32 = 4;
 ///
 /// # Errors
 /// The file would exceed the 4 GiB of a GLB, or `out` fails.
-pub fn write(meshes: &[Mesh], extras: &Value, out: &mut impl Write) -> Result<(), ExportError> {
+pub fn write(meshes: &[Mesh], extras: &Value, out: &mut dyn Write) -> Result<(), ExportError> {
     let mut buffer = Buffer::default();
     let primitives = (0..)
         .zip(non_empty(meshes))
@@ -60,7 +60,7 @@ pub fn write(meshes: &[Mesh], extras: &Value, out: &mut impl Write) -> Result<()
 }
 
 /// Writes the header, the JSON chunk, and the header of a binary chunk with `binary_bytes` bytes.
-fn write_chunks(json: &Value, binary_bytes: u64, out: &mut impl Write) -> Result<(), ExportError> {
+fn write_chunks(json: &Value, binary_bytes: u64, out: &mut dyn Write) -> Result<(), ExportError> {
     let mut text = serde_json::to_vec(json).map_err(std::io::Error::from)?;
     text.resize(text.len().next_multiple_of(4), b' ');
     let binary_chunk = if binary_bytes > 0 { 8 + binary_bytes } else { 0 };
@@ -86,7 +86,7 @@ fn non_empty(meshes: &[Mesh]) -> impl Iterator<Item = &Mesh> {
 }
 
 /// Writes the arrays of a mesh in the order of their buffer views.
-fn write_arrays(mesh: &Mesh, out: &mut impl Write) -> Result<(), ExportError> {
+fn write_arrays(mesh: &Mesh, out: &mut dyn Write) -> Result<(), ExportError> {
     out.write_all(bytemuck::cast_slice(&mesh.positions))?;
     out.write_all(bytemuck::cast_slice(&mesh.normals))?;
     out.write_all(bytemuck::cast_slice(&mesh.smoothness))?;

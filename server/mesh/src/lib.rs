@@ -357,7 +357,7 @@ impl Content {
     ///
     /// # Errors
     /// The format cannot hold the content, or the errors of `out`.
-    pub fn write(&self, out: &mut impl Write) -> Result<(), ExportError> {
+    pub fn write(&self, out: &mut dyn Write) -> Result<(), ExportError> {
         let meshes = &self.meshes[..];
         match self.format {
             Format::Glb if self.compress == Compress::Meshopt => glb::packed::write(meshes, &self.extras, out),
@@ -412,7 +412,7 @@ const MAX_SHORT_PART: u64 = u32::MAX as u64;
 const PIECE_BYTES: usize = 1 << 16;
 
 /// Writes the buffered rows and clears them, if they have more than `limit` bytes.
-fn flush(rows: &mut Vec<u8>, out: &mut impl Write, limit: usize) -> Result<(), ExportError> {
+fn flush(rows: &mut Vec<u8>, out: &mut dyn Write, limit: usize) -> Result<(), ExportError> {
     if rows.len() > limit {
         out.write_all(rows)?;
         rows.clear();

@@ -13,7 +13,7 @@ use super::{ExportError, Mesh, PIECE_BYTES, flush};
 ///
 /// # Errors
 /// Errors of `out`.
-pub fn write(meshes: &[Mesh], out: &mut impl Write) -> Result<(), ExportError> {
+pub fn write(meshes: &[Mesh], out: &mut dyn Write) -> Result<(), ExportError> {
     let mut text = format!("# isopeel {}\n", env!("CARGO_PKG_VERSION")).into_bytes();
     // Vertices are numbered from 1 through all objects.
     let mut first = 1;
@@ -41,7 +41,7 @@ pub fn write(meshes: &[Mesh], out: &mut impl Write) -> Result<(), ExportError> {
 }
 
 /// Writes positions with their colours, then normals.
-fn vertices(mesh: &Mesh, text: &mut Vec<u8>, out: &mut impl Write) -> Result<(), ExportError> {
+fn vertices(mesh: &Mesh, text: &mut Vec<u8>, out: &mut dyn Write) -> Result<(), ExportError> {
     let (decimals, unit_decimals) = (Decimals::of_spacing(mesh.smallest_spacing), Decimals::new(4));
     let surface_color = mesh
         .material

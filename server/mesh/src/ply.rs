@@ -13,7 +13,7 @@ use super::{ExportError, Mesh, PIECE_BYTES, flush};
 ///
 /// # Errors
 /// Errors of `out`.
-pub fn write(mesh: &Mesh, out: &mut impl Write) -> Result<(), ExportError> {
+pub fn write(mesh: &Mesh, out: &mut dyn Write) -> Result<(), ExportError> {
     write!(
         out,
         "ply\nformat binary_little_endian 1.0\ncomment isopeel {}\ncomment frame {}, unit {}\n{}\

@@ -19,7 +19,7 @@ const PIECE: usize = 1 << 12;
 ///
 /// # Errors
 /// A position exceeds 32-bit floats, or `out` fails.
-pub fn write(meshes: &[Mesh], out: &mut impl Write) -> Result<(), ExportError> {
+pub fn write(meshes: &[Mesh], out: &mut dyn Write) -> Result<(), ExportError> {
     let mut package = ZipWriter::new_stream(out);
     let info = json!({ "@type": "neuroglancer_legacy_mesh", "segment_properties": "segment_properties" });
     start(&mut package, "info", 0)?;
@@ -69,7 +69,7 @@ fn properties(meshes: &[Mesh]) -> serde_json::Value {
 }
 
 /// Writes the mesh of a segment: number of vertices, positions, and corners of triangles.
-fn fragment(mesh: &Mesh, out: &mut impl Write) -> Result<(), ExportError> {
+fn fragment(mesh: &Mesh, out: &mut dyn Write) -> Result<(), ExportError> {
     let vertices = fits_u32("vertices", mesh.positions.len() as u64, "precomputed")?;
     out.write_all(&vertices.to_le_bytes())?;
     let mut piece: Vec<[f32; 3]> = Vec::with_capacity(PIECE);

@@ -32,7 +32,7 @@ pub fn rounding(mesh: &Mesh, format: &str) -> Option<String> {
 ///
 /// # Errors
 /// The mesh has more than 2³² − 1 triangles, a position exceeds 32-bit floats, or `out` fails.
-pub fn write(mesh: &Mesh, out: &mut impl Write) -> Result<(), ExportError> {
+pub fn write(mesh: &Mesh, out: &mut dyn Write) -> Result<(), ExportError> {
     let triangles = fits_u32("triangles", mesh.triangles.len() as u64, "STL")?;
     // The header must not begin with `solid`, by which readers recognise the text form of STL.
     let mut header = [b' '; 80];

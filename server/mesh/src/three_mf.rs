@@ -36,7 +36,7 @@ const RELATIONSHIPS: &str = "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n\
 ///
 /// # Errors
 /// Errors of `out`.
-pub fn write(meshes: &[Mesh], compresses: bool, out: &mut impl Write) -> Result<(), ExportError> {
+pub fn write(meshes: &[Mesh], compresses: bool, out: &mut dyn Write) -> Result<(), ExportError> {
     let triangles: u64 = meshes.iter().map(|mesh| mesh.triangles.len() as u64).sum();
     let (method, level) = match compresses {
         true => (CompressionMethod::Deflated, Some(LEVEL)),
@@ -61,7 +61,7 @@ pub fn write(meshes: &[Mesh], compresses: bool, out: &mut impl Write) -> Result<
     Ok(())
 }
 
-fn model(meshes: &[Mesh], out: &mut impl Write) -> Result<(), ExportError> {
+fn model(meshes: &[Mesh], out: &mut dyn Write) -> Result<(), ExportError> {
     let mut text = Text::new(out);
     text.push(
         "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n\
@@ -176,12 +176,12 @@ impl Colors {
     }
 }
 
-fn object<W: Write>(
+fn object(
     mesh: &Mesh,
     id: usize,
     material: usize,
     colors: Option<&Colors>,
-    text: &mut Text<'_, W>,
+    text: &mut Text<'_>,
 ) -> Result<(), ExportError> {
     let kind = if mesh.is_closed { "model" } else { "surface" };
     text.push(&format!(
@@ -219,13 +219,13 @@ fn object<W: Write>(
 }
 
 /// Buffered text of a file in the ZIP.
-struct Text<'a, W> {
+struct Text<'a> {
     text: Vec<u8>,
-    out: &'a mut W,
+    out: &'a mut dyn Write,
 }
 
-impl<'a, W: Write> Text<'a, W> {
-    fn new(out: &'a mut W) -> Self {
+impl<'a> Text<'a> {
+    fn new(out: &'a mut dyn Write) -> Self {
         let text = Vec::with_capacity(2 * PIECE_BYTES);
         Self { text, out }
     }

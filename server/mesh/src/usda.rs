@@ -38,7 +38,7 @@ const TAKEN: [&str; 11] = [
 ///
 /// # Errors
 /// Errors of `out`.
-pub fn write(meshes: &[Mesh], out: &mut impl Write) -> Result<(), ExportError> {
+pub fn write(meshes: &[Mesh], out: &mut dyn Write) -> Result<(), ExportError> {
     let non_empty: Vec<&Mesh> = meshes.iter().filter(|mesh| !mesh.triangles.is_empty()).collect();
     let stage_metres = meshes.first().map_or(1.0, metres);
     let names = identifiers(&non_empty);
@@ -96,7 +96,7 @@ fn quoted(string: &str) -> String {
 }
 
 /// Writes a mesh. `scale` is the unit of the mesh divided by the unit of the stage.
-fn surface(mesh: &Mesh, name: &str, scale: f64, text: &mut Vec<u8>, out: &mut impl Write) -> Result<(), ExportError> {
+fn surface(mesh: &Mesh, name: &str, scale: f64, text: &mut Vec<u8>, out: &mut dyn Write) -> Result<(), ExportError> {
     let decimals = Decimals::of_spacing(mesh.smallest_spacing);
     let [low, high] = [f32::min, f32::max].map(|choose| {
         let first = mesh.positions.first().copied().unwrap_or_default();
@@ -157,7 +157,7 @@ fn provenance(mesh: &Mesh) -> String {
     format!("        customData = {{\n            dictionary isopeel = {{\n{lines}            }}\n        }}\n")
 }
 
-fn topology(mesh: &Mesh, text: &mut Vec<u8>, out: &mut impl Write) -> Result<(), ExportError> {
+fn topology(mesh: &Mesh, text: &mut Vec<u8>, out: &mut dyn Write) -> Result<(), ExportError> {
     text.extend_from_slice(b"        int[] faceVertexCounts = [");
     for triangle in 0..mesh.triangles.len() {
         text.extend_from_slice(if triangle == 0 { b"3" } else { b", 3" });
@@ -176,7 +176,7 @@ fn topology(mesh: &Mesh, text: &mut Vec<u8>, out: &mut impl Write) -> Result<(),
 }
 
 /// Writes triples of numbers, separated by commas.
-fn tuples(rows: &[[f32; 3]], decimals: Decimals, text: &mut Vec<u8>, out: &mut impl Write) -> Result<(), ExportError> {
+fn tuples(rows: &[[f32; 3]], decimals: Decimals, text: &mut Vec<u8>, out: &mut dyn Write) -> Result<(), ExportError> {
     for (i, row) in rows.iter().enumerate() {
         text.extend_from_slice(if i == 0 { b"(" } else { b", (" });
         for (axis, &component) in row.iter().enumerate() {
@@ -192,7 +192,7 @@ fn tuples(rows: &[[f32; 3]], decimals: Decimals, text: &mut Vec<u8>, out: &mut i
 }
 
 /// Writes the colours of the vertices, or else the colour of the surface. Colours are linear, as USD defines them.
-fn colors(mesh: &Mesh, text: &mut Vec<u8>, out: &mut impl Write) -> Result<(), ExportError> {
+fn colors(mesh: &Mesh, text: &mut Vec<u8>, out: &mut dyn Write) -> Result<(), ExportError> {
     let decimals = Decimals::new(UNIT_DIGITS);
     let vertex_colors: Vec<[f32; 3]> = (mesh.colors.iter())
         .map(|color| color.map(|component| f32::from(component) / 65535.0))
@@ -223,7 +223,7 @@ fn color(mesh: &Mesh) -> [f32; 3] {
 }
 
 /// Writes the values of fields at the vertices. A missing value is NaN.
-fn fields(mesh: &Mesh, text: &mut Vec<u8>, out: &mut impl Write) -> Result<(), ExportError> {
+fn fields(mesh: &Mesh, text: &mut Vec<u8>, out: &mut dyn Write) -> Result<(), ExportError> {
     let names = distinct_names(mesh.fields.iter().map(|field| identifier(&field.name)), &TAKEN);
     for (field, name) in mesh.fields.iter().zip(names) {
         text.extend(format!("        float[] primvars:{name} = [").bytes());

@@ -31,7 +31,7 @@ const DATE: u16 = 1 << 5 | 1;
 ///
 /// # Errors
 /// The file would exceed 4 GiB, or `out` fails.
-pub fn write(meshes: &[Mesh], out: &mut impl Write) -> Result<(), ExportError> {
+pub fn write(meshes: &[Mesh], out: &mut dyn Write) -> Result<(), ExportError> {
     let mut measure = Measure::default();
     usda::write(meshes, &mut measure)?;
     let common = common_fields(measure.crc.sum(), fits_u32("bytes of text", measure.bytes, "USDZ")?);

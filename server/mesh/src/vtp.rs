@@ -25,7 +25,7 @@ const LEVEL: Compression = Compression::fast();
 ///
 /// # Errors
 /// The mesh has too many corners for 32-bit numbers, or `out` fails.
-pub fn write(mesh: &Mesh, compresses: bool, out: &mut impl Write) -> Result<(), ExportError> {
+pub fn write(mesh: &Mesh, compresses: bool, out: &mut dyn Write) -> Result<(), ExportError> {
     let arrays = Arrays::new(mesh)?;
     let blocks: Vec<Option<Vec<u8>>> = match compresses {
         true => arrays
@@ -167,7 +167,7 @@ impl Arrays {
 
 impl Content {
     /// Writes the array.
-    fn write(self, mesh: &Mesh, out: &mut impl Write) -> Result<(), ExportError> {
+    fn write(self, mesh: &Mesh, out: &mut dyn Write) -> Result<(), ExportError> {
         match self {
             Self::Normals => out.write_all(bytemuck::cast_slice(&mesh.normals))?,
             Self::Smoothness => out.write_all(bytemuck::cast_slice(&mesh.smoothness))?,
@@ -248,7 +248,7 @@ fn text(name: &str, value: &str) -> String {
 }
 
 /// Writes rows that an iterator computes.
-fn rows<T: bytemuck::NoUninit>(out: &mut impl Write, rows: impl Iterator<Item = T>) -> Result<(), ExportError> {
+fn rows<T: bytemuck::NoUninit>(out: &mut dyn Write, rows: impl Iterator<Item = T>) -> Result<(), ExportError> {
     let mut buffer = Vec::with_capacity(2 * PIECE_BYTES);
     for row in rows {
         buffer.extend_from_slice(bytemuck::bytes_of(&row));

@@ -91,7 +91,7 @@ struct Shared {
     notes: Arc<Notes>,
 }
 
-/// State that the writer reads beside its queue, so that a full queue loses none of it.
+/// State that the writer reads beside its queue, which may be full.
 #[derive(Debug, Default)]
 struct Notes {
     /// Number of dropped lines that no line has stated yet.
@@ -130,6 +130,8 @@ impl Audit {
     /// Opens the file again before the next line, after log rotation has moved it away.
     pub fn reopen(&self) {
         self.0.notes.must_reopen.store(true, Ordering::Relaxed);
+        // If the queue is full, the writer is awake.
+        let _ = self.0.commands.try_send(Command::Wake);
     }
 
     /// Waits until all lines are in the file, but at most for `limit`.

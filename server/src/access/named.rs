@@ -147,18 +147,18 @@ impl TokenFile {
     /// # Errors
     /// [`TokenFileError`]. A missing file is not an error, but an empty list.
     pub fn list(&self) -> Result<Vec<NamedToken>, TokenFileError> {
-        let mut text = String::new();
+        let mut text = Vec::new();
         let file = match File::open(&self.path) {
             Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
             other => other.map_err(|source| self.io(source))?,
         };
         self.check_mode(&file.metadata().map_err(|source| self.io(source))?)?;
-        let read = file.take(MAX_FILE_BYTES + 1).read_to_string(&mut text);
+        let read = file.take(MAX_FILE_BYTES + 1).read_to_end(&mut text);
         read.map_err(|source| self.io(source))?;
         if text.len() as u64 > MAX_FILE_BYTES {
             return Err(self.malformed(format!("more than {MAX_FILE_BYTES} bytes")));
         }
-        let contents: Contents = serde_json::from_str(&text).map_err(|error| self.malformed(error.to_string()))?;
+        let contents: Contents = serde_json::from_slice(&text).map_err(|error| self.malformed(error.to_string()))?;
         if contents.version != VERSION {
             return Err(self.malformed(format!("version {}", contents.version)));
         }

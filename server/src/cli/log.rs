@@ -33,14 +33,13 @@ pub fn start(format: LogFormat, default_level: LevelFilter) {
         .finish(Lines::new(standard_error(), format, Arc::clone(&queue)));
     let _ = queue.set(writer.error_counter());
     *GUARD.lock().unwrap_or_else(PoisonError::into_inner) = Some(guard);
-    let log = tracing_subscriber::fmt()
-        // The filter decides.
-        .with_max_level(LevelFilter::TRACE)
+    let lines = tracing_subscriber::fmt::layer()
         .with_writer(writer)
         .with_ansi(io::stderr().is_terminal());
+    let log = tracing_subscriber::registry();
     match format {
-        LogFormat::Text => log.finish().with(filter).init(),
-        LogFormat::Json => log.json().flatten_event(true).finish().with(filter).init(),
+        LogFormat::Text => log.with(lines).with(filter).init(),
+        LogFormat::Json => log.with(lines.json().flatten_event(true)).with(filter).init(),
     }
     if let Some(refused) = refused {
         tracing::warn!("{refused}");
@@ -50,16 +49,24 @@ pub fn start(format: LogFormat, default_level: LevelFilter) {
 /// Returns the filter that `RUST_LOG` asks for; if it is empty or refused, lines of `default_level` and above. Also returns why it is
 /// refused.
 fn filter(wanted: &str, default_level: LevelFilter) -> (Targets, Option<String>) {
-    let default = || Targets::new().with_default(default_level);
-    if wanted.is_empty() {
-        return (default(), None);
+    let default = Targets::new().with_default(default_level);
+    let directives: Vec<&str> = wanted
+        .split(',')
+        .map(str::trim)
+        .filter(|part| !part.is_empty())
+        .collect();
+    if directives.is_empty() {
+        return (default, None);
     }
-    match wanted.parse() {
-        Ok(filter) => (filter, None),
-        Err(error) => {
+    // `Targets` would take a span for the name of a module, and no level for the lowest.
+    let is_known = |part: &&str| !part.contains(['[', ' ']) && !part.ends_with('=');
+    let filter = directives.join(",").parse();
+    match filter {
+        Ok(filter) if directives.iter().all(is_known) => (filter, None),
+        _ => {
             let expected = "expected modules and levels, as isopeel=debug,warn";
-            let refused = format!("RUST_LOG is {wanted:?} ({error}), {expected}: {default_level} is used");
-            (default(), Some(refused))
+            let refused = format!("RUST_LOG is {wanted:?}, {expected}: {default_level} is used");
+            (default, Some(refused))
         }
     }
 }
@@ -181,13 +188,14 @@ mod tests {
         let wanted = filter("isopeel=debug,warn", LevelFilter::INFO);
         assert!(wanted.1.is_none() && is_enabled(&wanted, "isopeel::rest", &debug));
         assert!(!is_enabled(&wanted, "hyper", &info));
-        let refused = filter("isopeel=loud", LevelFilter::INFO);
-        assert!(is_enabled(&refused, "isopeel::rest", &info));
-        assert!(
-            refused
-                .1
-                .is_some_and(|why| why.contains("isopeel=loud") && why.ends_with("info is used"))
-        );
+        let spaced = filter(" isopeel=debug, warn,", LevelFilter::INFO);
+        assert_eq!((&spaced.0, spaced.1.is_none()), (&wanted.0, true));
+        for text in ["isopeel=loud", "isopeel=", "isopeel[edit]=debug", "isopeel debug"] {
+            let refused = filter(text, LevelFilter::INFO);
+            assert!(is_enabled(&refused, "isopeel::rest", &info), "{text}");
+            let said = refused.1.expect("a refusal");
+            assert!(said.contains(text) && said.ends_with("info is used"), "{said}");
+        }
     }
 
     /// A writer with limited space.

@@ -243,15 +243,15 @@ fn parse_surface(text: &str) -> Result<SurfaceOptions, serde_json::Error> {
 
 fn read_transfer_function(path: &Path) -> Result<TransferFunctionJson, TransferFunctionError> {
     let read = || {
-        let mut text = String::new();
+        let mut text = Vec::new();
         File::open(path)?
             .take(MAX_TRANSFER_FUNCTION_BYTES + 1)
-            .read_to_string(&mut text)?;
+            .read_to_end(&mut text)?;
         if text.len() as u64 > MAX_TRANSFER_FUNCTION_BYTES {
             let why = format!("more than {MAX_TRANSFER_FUNCTION_BYTES} bytes");
             return Err(io::Error::new(io::ErrorKind::FileTooLarge, why));
         }
-        Ok(serde_json::from_str(&text)?)
+        Ok(serde_json::from_slice(&text)?)
     };
     read().map_err(|source| TransferFunctionError {
         path: path.to_owned(),

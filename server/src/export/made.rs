@@ -456,7 +456,7 @@ impl MadeFile {
     ///
     /// # Errors
     /// As [`Content::write`].
-    pub fn write(&self, out: &mut impl Write) -> Result<(), ExportError> {
+    pub fn write(&self, out: &mut dyn Write) -> Result<(), ExportError> {
         self.content.write(out)
     }
 }

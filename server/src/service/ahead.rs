@@ -15,8 +15,8 @@ impl DeviceWorker {
         self.shared.open_steps.mark(&volume.key())
     }
 
-    /// Loads the fields that views use onto the device, one after the other. Stops at the first field that is resident or does not fit. A
-    /// field fits if there is space beside all volumes in use, and if it does not raise the bytes of fields that were read ahead but not
+    /// Loads the fields that views use onto the device, one after the other. Skips fields that are resident or do not fit. A field
+    /// fits if there is space beside all volumes in use, and if it does not raise the bytes of fields that were read ahead but not
     /// used yet above `budget`. A load that has begun is finished unless `token` is cancelled, even if the future is dropped.
     ///
     /// # Errors

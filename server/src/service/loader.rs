@@ -33,25 +33,21 @@ impl DeviceWorker {
     pub(super) async fn load(&self, volume: &VolumeStep, key: VolumeKey) -> Result<(), WorkError> {
         let load = self.shared.loads.get_or_insert(&key);
         let _waiting = load.wait();
-        let running = Arc::clone(&load.lock).try_lock_owned();
-        if running.is_ok() {
+        let guard = Arc::clone(&load.lock).try_lock_owned();
+        if guard.is_ok() {
             load.restart();
         }
         if let Some(watch) = &self.watch {
             watch.load_requested(&key, &load.progress);
         }
-        let running = match running {
-            Ok(running) => running,
-            Err(_) => {
-                let running = Arc::clone(&load.lock).lock_owned().await;
-                load.restart();
-                running
-            }
+        let guard = match guard {
+            Ok(guard) => guard,
+            Err(_) => Arc::clone(&load.lock).lock_owned().await,
         };
         let (worker, volume, task_key) = (self.clone(), volume.clone(), key.clone());
         let task_load = Arc::clone(&load);
         let task = tokio::spawn(async move {
-            let _running = running;
+            let _guard = guard;
             worker.load_locked(&volume, task_key, &task_load, Purpose::Now).await
         });
         let outcome = task.await.unwrap_or(Err(WorkError::Stopped));
@@ -71,13 +67,12 @@ impl DeviceWorker {
         token: &CancellationToken,
     ) -> Result<(), WorkError> {
         let load = self.shared.loads.get_or_insert(&key);
-        let Ok(running) = Arc::clone(&load.lock).try_lock_owned() else {
+        let Ok(guard) = Arc::clone(&load.lock).try_lock_owned() else {
             return Ok(());
         };
-        load.restart();
         let (worker, volume, token) = (self.clone(), volume.clone(), token.clone());
         let task = tokio::spawn(async move {
-            let _running = running;
+            let _guard = guard;
             let waiting = load.wait();
             let purpose = Purpose::Ahead { budget };
             let work = worker.load_locked(&volume, key, &load, purpose);
@@ -104,6 +99,10 @@ impl DeviceWorker {
         if self.run_for_cache(FindResident { keys }).await? == [true] {
             return Ok(());
         }
+        // Callers that waited for an earlier load of this field have the same progress until here.
+        if !load.restart() {
+            return Err(WorkError::Cancelled);
+        }
         let is_computed = matches!(purpose, Purpose::Now) && key.is_computed(volume);
         if is_computed && self.compute(volume, key.clone(), load.token()).await? {
             return Ok(());
@@ -111,8 +110,7 @@ impl DeviceWorker {
         let permits = Arc::clone(&self.shared.loads.permits);
         let _permit = permits.acquire_owned().await.map_err(|_| WorkError::Stopped)?;
         match self.transfer(volume, &key, &load.progress, purpose).await {
-            Err(WorkError::Unreadable(error)) if error.can_retry => {
-                load.restart();
+            Err(WorkError::Unreadable(error)) if error.can_retry && load.restart() => {
                 self.transfer(volume, &key, &load.progress, purpose).await
             }
             outcome => outcome,
@@ -144,7 +142,8 @@ impl DeviceWorker {
             (Err(error), _) | (Ok(true), Err(error)) => Err(error),
         };
         if let Err(error) = loaded {
-            self.run_for_cache(DropUpload { key }).await?;
+            // If dropping fails too, the device is lost, and its memory with it.
+            let _ = self.run_for_cache(DropUpload { key }).await;
             return Err(error);
         }
         let is_ahead = matches!(purpose, Purpose::Ahead { .. });

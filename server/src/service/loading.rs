@@ -61,6 +61,8 @@ pub(super) struct FieldLoad {
     token: Mutex<CancellationToken>,
     /// Number of callers that wait for this load.
     waiting: AtomicUsize,
+    /// How often the last waiting caller has left.
+    departures: AtomicUsize,
 }
 
 /// Guard of a caller that waits for a load. Dropping the guard removes the caller.
@@ -73,11 +75,12 @@ impl FieldLoad {
         WaitGuard(Arc::clone(self))
     }
 
-    /// Prepares for a new load or a retry: resets progress and cancellation.
-    pub(super) fn restart(&self) {
+    /// Prepares for a new load or a retry: resets progress and cancellation. Returns false if no caller waits for it any more.
+    pub(super) fn restart(&self) -> bool {
         let mut token = lock(&self.token);
         self.progress.restart();
         *token = CancellationToken::new();
+        self.is_awaited()
     }
 
     /// Returns the token of the running load.
@@ -99,6 +102,7 @@ impl FieldLoad {
 impl Drop for WaitGuard {
     fn drop(&mut self) {
         let is_last = self.0.waiting.fetch_sub(1, Ordering::Relaxed) == 1;
+        let departure = self.0.departures.fetch_add(usize::from(is_last), Ordering::Relaxed) + 1;
         let is_running = self.0.lock.try_lock().is_err();
         if is_last
             && is_running
@@ -107,7 +111,9 @@ impl Drop for WaitGuard {
             let load = Arc::clone(&self.0);
             runtime.spawn(async move {
                 tokio::time::sleep(LINGER).await;
-                if !load.is_awaited() {
+                // A caller that came and left meanwhile has a timer of its own.
+                let is_latest = load.departures.load(Ordering::Relaxed) == departure;
+                if is_latest && !load.is_awaited() {
                     load.cancel();
                 }
             });

@@ -384,7 +384,7 @@ impl Out<'_, '_> {
 }
 
 /// Computes the values of consecutive positions. Its arguments are the samples, beginning with that of the first position, the distance
-/// between positions in samples, and the values. Called once for thousands of samples, so that a call through a pointer costs nothing.
+/// between positions in samples, and the values. Called once for a row or for thousands of samples, so that a call through a pointer costs little.
 type Fill<'a, S, T> = dyn Fn(&[S], usize, &mut [T]) + Sync + 'a;
 
 /// Positions with `interleave` samples each. `fill` computes the values of positions, from the sample `first` of each position.

@@ -2,36 +2,32 @@
 //!
 //! The loop itself is compiled once, not for each type of sample: `rayon`'s generic iterators were a quarter of this crate's code.
 
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Mutex, OnceLock, PoisonError};
 
 use rayon::prelude::*;
 
-/// Calls `task` with each number below `count`, on several threads.
-pub(super) fn for_each(count: usize, task: &(dyn Fn(usize) + Sync)) {
-    (0..count).into_par_iter().for_each(task);
+/// Values of a task of [`for_each_row`]: enough that a task takes longer than its administration.
+const CHUNK_VALUES: usize = 1 << 16;
+
+/// Calls `task` with each number below `count`, on several threads. Once a call has returned false, no further call begins.
+fn for_each_while(count: usize, task: &(dyn Fn(usize) -> bool + Sync)) {
+    let _ = (0..count)
+        .into_par_iter()
+        .try_for_each(|number| task(number).then_some(()));
 }
 
 /// Returns the results of `task` for each number below `count`, in order. After an error, no further call begins.
 ///
 /// # Errors
-/// Errors of `task`.
+/// An error of `task`: of several, the one with the lowest number.
 pub(super) fn try_map<R: Send + Sync, E: Send + Sync>(
     count: usize,
     task: impl Fn(usize) -> Result<R, E> + Sync,
 ) -> Result<Vec<R>, E> {
-    let (results, failed) = (empty_slots(count), AtomicBool::new(false));
-    for_each(count, &|number| {
-        if failed.load(Ordering::Relaxed) {
-            return;
-        }
-        let result = task(number);
-        if result.is_err() {
-            failed.store(true, Ordering::Relaxed);
-        }
-        let _ = results[number].set(result);
-    });
-    // Only calls after an error have no result, so the first error is found before a missing result matters.
+    let results: Vec<OnceLock<Result<R, E>>> = std::iter::repeat_with(OnceLock::new).take(count).collect();
+    for_each_while(count, &|number| results[number].get_or_init(|| task(number)).is_ok());
+    // Only after an error are results missing.
     results.into_iter().filter_map(OnceLock::into_inner).collect()
 }
 
@@ -53,22 +49,24 @@ pub(super) fn try_map_items<T: Send, R: Send + Sync, E: Send + Sync>(
 ///
 /// # Errors
 /// Errors of `task`.
-pub(super) fn try_sum<E: Send>(count: u64, task: impl Fn(u64) -> Result<u64, E> + Sync) -> Result<u64, E> {
-    let sum = Mutex::new(Ok(0u64));
-    let lock = || sum.lock().unwrap_or_else(PoisonError::into_inner);
-    for_each(count as usize, &|number| {
-        if lock().is_err() {
-            return;
-        }
-        let result = task(number as u64);
-        let mut sum = lock();
-        match (&mut *sum, result) {
-            (Ok(sum), Ok(more)) => *sum = sum.saturating_add(more),
-            (Ok(_), Err(error)) => *sum = Err(error),
-            (Err(_), _) => {}
-        }
-    });
-    sum.into_inner().unwrap_or_else(PoisonError::into_inner)
+pub(super) fn try_sum<E: Send + Sync>(count: u64, task: impl Fn(u64) -> Result<u64, E> + Sync) -> Result<u64, E> {
+    let (sum, failure) = (AtomicU64::new(0), OnceLock::new());
+    for_each_while(
+        usize::try_from(count).unwrap_or(usize::MAX),
+        &|number| match task(number as u64) {
+            Ok(more) => {
+                let _ = sum.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |sum| {
+                    Some(sum.saturating_add(more))
+                });
+                true
+            }
+            Err(error) => {
+                let _ = failure.set(error);
+                false
+            }
+        },
+    );
+    failure.into_inner().map_or(Ok(sum.into_inner()), Err)
 }
 
 /// Calls `task` with each chunk of at most `size` values, and with the chunk's number.
@@ -101,13 +99,6 @@ pub(super) fn for_each_row<T: Send>(values: &mut [T], length: usize, task: impl 
         Ok::<(), std::convert::Infallible>(())
     });
     let Ok(()) = result;
-}
-
-/// Values of a task of [`for_each_row`]: enough that a task takes longer than its administration.
-const CHUNK_VALUES: usize = 1 << 16;
-
-fn empty_slots<T>(count: usize) -> Vec<OnceLock<T>> {
-    std::iter::repeat_with(OnceLock::new).take(count).collect()
 }
 
 #[cfg(test)]

@@ -28,7 +28,7 @@ const VERTEX_LEVEL: i32 = 2;
 ///
 /// # Errors
 /// The file would exceed the 4 GiB of a GLB, or `out` fails.
-pub(crate) fn write(meshes: &[Mesh], extras: &Value, out: &mut impl Write) -> Result<(), ExportError> {
+pub(crate) fn write(meshes: &[Mesh], extras: &Value, out: &mut dyn Write) -> Result<(), ExportError> {
     let mut buffer = PackedBuffer::default();
     let (mut primitives, mut nodes) = (Vec::new(), Vec::new());
     for (number, mesh) in (0..).zip(non_empty(meshes)) {

@@ -15,6 +15,8 @@ pub(super) enum Command {
     Write(Vec<u8>),
     /// Replies after all earlier lines were written.
     Flush(SyncSender<()>),
+    /// Makes the writer look at [`Notes`] at once.
+    Wake,
 }
 
 fn open(path: &Path) -> io::Result<File> {
@@ -51,33 +53,33 @@ impl Writer {
     pub(super) fn run(mut self, commands: &Receiver<Command>) {
         let mut counts_written = Instant::now();
         loop {
-            let command = match commands.recv_timeout(WRITE_INTERVAL) {
-                Ok(command) => Some(command),
-                Err(RecvTimeoutError::Timeout) => None,
-                Err(RecvTimeoutError::Disconnected) => return self.write_counts(Duration::ZERO),
-            };
+            let received = commands.recv_timeout(WRITE_INTERVAL);
             if self.notes.must_reopen.swap(false, Ordering::Relaxed) {
                 self.reopen();
+            }
+            self.write_lost();
+            match received {
+                Ok(Command::Write(line)) => self.write(&line),
+                Ok(Command::Flush(done)) => {
+                    self.write_counts(Duration::ZERO);
+                    let _ = done.send(());
+                }
+                Ok(Command::Wake) | Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Disconnected) => return self.write_counts(Duration::ZERO),
             }
             if counts_written.elapsed() >= WRITE_INTERVAL {
                 self.write_counts(COUNTING_PERIOD);
                 counts_written = Instant::now();
             }
-            let Some(command) = command else { continue };
-            match command {
-                Command::Write(line) => {
-                    let lost = self.notes.lost.swap(0, Ordering::Relaxed);
-                    if lost > 0 {
-                        let line = serde_json::json!({"time": now(), "event": "lost", "count": lost});
-                        self.write(format!("{line}\n").as_bytes());
-                    }
-                    self.write(&line);
-                }
-                Command::Flush(done) => {
-                    self.write_counts(Duration::ZERO);
-                    let _ = done.send(());
-                }
-            }
+        }
+    }
+
+    /// Writes the number of lines that were dropped since the last such line.
+    fn write_lost(&mut self) {
+        let lost = self.notes.lost.swap(0, Ordering::Relaxed);
+        if lost > 0 {
+            let line = serde_json::json!({"time": now(), "event": "lost", "count": lost});
+            self.write(format!("{line}\n").as_bytes());
         }
     }
 

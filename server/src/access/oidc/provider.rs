@@ -105,7 +105,7 @@ pub(super) struct Cache {
 
 impl Provider {
     pub(super) fn new(issuer: String) -> Result<Self, ProviderError> {
-        // An error is ignored: the process already has a default provider.
+        // Fails if the process has installed a provider of cryptography already, which may stay.
         let _ = rustls::crypto::ring::default_provider().install_default();
         // Does not follow redirects, because they could lead to another server.
         let http = Client::builder()
@@ -124,7 +124,8 @@ impl Provider {
         let mut cache = self.cache.lock().await;
         if let Some((since, metadata, keys)) = &cache.answer
             && since.elapsed() < LIFETIME
-            && !is_stale
+            // Another call has fetched it while this one waited for the lock.
+            && (!is_stale || *since >= arrived)
         {
             return Ok((metadata.clone(), keys.clone()));
         }

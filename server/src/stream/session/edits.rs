@@ -59,7 +59,8 @@ impl<B: Backend> Session<B> {
     }
 
     /// Gives each surface its part of the budget, once all surfaces that share the budget are counted. Remakes the surfaces whose parts
-    /// have changed, except `edited`, which is marked as changed before.
+    /// have changed, except `edited`, which is marked as changed before; a generation without a step only gets its new part. Also
+    /// tries again the surfaces that could not be counted, or whose part was too small.
     pub(super) fn allot(&mut self, edited: Option<u8>) {
         let uncounted = self.opened.as_mut().map(OpenVolume::uncounted_to_retry);
         uncounted.into_iter().flatten().for_each(|number| self.change(number));

@@ -57,7 +57,8 @@ impl<B: Backend> Session<B> {
         (Some(whole), message)
     }
 
-    /// Reverts the view in force, which turned out to be invalid, to the last view of which a surface was made. Followers revert too.
+    /// Reverts the view in force, which turned out to be invalid, to the last view of which a surface was counted or made.
+    /// Followers revert too.
     fn revert_view(&mut self, surface: u8) {
         self.end_generation(surface);
         let Some(opened) = &mut self.opened else { return };

@@ -39,8 +39,8 @@ pub const COMMANDS: &[(&str, &[(&str, How)])] = &[
     ]),
     ("CONTRIBUTING.md", &[("make test", By(".ci/run", "make test"))]),
     ("docs/algorithm.md", &[
-        ("cargo test -p isopeel-reference --test expected_cuts", By("Makefile", "cargo test --locked --workspace --tests")),
-        ("cargo test -p isopeel-reference", By("Makefile", "cargo test --locked --workspace --tests")),
+        ("cargo test -p isopeel-reference --test expected_cuts", By("tests/scripts/rust-tests.sh", "cargo test --locked --workspace")),
+        ("cargo test -p isopeel-reference", By("tests/scripts/rust-tests.sh", "cargo test --locked --workspace")),
     ]),
     ("docs/command-line.md", &[
         ("isopeel extract head.nrrd --triangles 20% -o head.glb --surface '{\"name\":\"skin\",\"iso\":300,\"color\":\"#d2b48c\",\"opacity\":0.4}' --surface \
@@ -281,7 +281,7 @@ pub const IN_TEXT: &[(&str, How)] = &[
     ("make dist ARCHITECTURES=\"amd64 arm64\"", Not("needs Rust's target for arm64")),
     ("rustup target add aarch64-unknown-linux-gnu", Not("changes the reader's toolchain")),
     ("cargo test -p CRATE", Not("CRATE stands for any")),
-    ("cargo test -p isopeel --lib volume_info", By("Makefile", "cargo test --locked --workspace --tests")),
+    ("cargo test -p isopeel --lib volume_info", By("tests/scripts/rust-tests.sh", "cargo test --locked --workspace")),
     ("UPDATE_SNAPSHOTS=1 cargo test -p isopeel --lib openapi", Not("writes a file of the repository")),
     ("ISOPEEL_DEVICE=cpu driver-tests/run.sh", Not("runs on another machine")),
     ("ISOPEEL_FAULTS=all cargo test --test e2e -- drivers::", Not("takes minutes more than make test, which runs a part of it")),
