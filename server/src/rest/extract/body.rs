@@ -11,7 +11,7 @@ use tokio::runtime::Handle;
 use tokio::sync::mpsc;
 
 use super::spool::{Spool, SpoolFolder};
-use crate::export::{ExportError, MadeFile};
+use crate::export::{ExportError, FileContent};
 use crate::rest::content_encoding::ContentEncoding;
 
 /// Maximum bytes of a chunk of the body.
@@ -35,7 +35,7 @@ pub(super) enum Part {
 }
 
 /// Returns a body that sends a part of a file. Drops the permit together with the mesh, when all bytes are sent or spooled.
-pub(super) fn send(file: MadeFile, part: Part, permit: impl Send + 'static, spool: SpoolFolder) -> Body {
+pub(super) fn send(file: FileContent, part: Part, permit: impl Send + 'static, spool: SpoolFolder) -> Body {
     let patience = Patience {
         deadline: CHUNK_DEADLINE,
         spool_after: SPOOL_AFTER,
@@ -53,7 +53,7 @@ struct Patience {
 }
 
 fn send_with(
-    file: MadeFile,
+    file: FileContent,
     part: Part,
     permit: impl Send + 'static,
     spool_folder: SpoolFolder,
@@ -97,7 +97,7 @@ fn send_with(
 
 /// Writes a part of a file on a blocking thread, then sends the spooled bytes.
 async fn write_and_send(
-    (file, permit): (MadeFile, impl Send + 'static),
+    (file, permit): (FileContent, impl Send + 'static),
     part: Part,
     mut writer: ChunkWriter,
     chunks: &mpsc::Sender<Bytes>,
@@ -132,7 +132,7 @@ async fn send_spooled(mut spool: Spool, chunks: &mpsc::Sender<Bytes>, deadline: 
     }
 }
 
-fn write(file: &MadeFile, part: Part, out: impl Write) -> Result<(), ExportError> {
+fn write(file: &FileContent, part: Part, out: impl Write) -> Result<(), ExportError> {
     match part {
         Part::Whole(encoding) => encoding.write(out, |mut out| file.write(&mut out)),
         Part::Range([from, to]) => {
@@ -265,8 +265,8 @@ mod tests {
     const WHOLE: Part = Part::Whole(ContentEncoding::Identity);
 
     /// A file of some megabytes: more than the queue of chunks holds.
-    fn large_file(format: Format) -> MadeFile {
-        MadeFile::of_mesh(large_mesh(), format)
+    fn large_file(format: Format) -> FileContent {
+        FileContent::of_mesh(large_mesh(), format)
     }
 
     fn large_mesh() -> Mesh {
