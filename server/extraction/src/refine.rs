@@ -95,8 +95,8 @@ impl Workspace {
             }
             if tree_first
                 && let Some(expected) = expected
-                && let Some(prefix) = tree_steps::next_prefix(step, job.regions(), expected)
-                && let Some(surface) = job.tree_prefix(view, prefix, cancel)?
+                && let Some(coarser) = tree_steps::next_coarser_cut(step, job.regions(), expected)
+                && let Some(surface) = job.tree_prefix(view, coarser, cancel)?
                 // A cut without additional triangles is no progress. It occurs if parts are removed: then every cut has few triangles.
                 && surface.statistics.triangles > step.made_triangles
             {

@@ -18,7 +18,7 @@ use super::job_error::JobError;
 use super::on_device::{Nodes, OnDevice};
 use super::questions::index_inside;
 use super::results::{Making, Refining};
-use super::tree_steps::TreePrefix;
+use super::tree_steps::CoarserCut;
 use super::workspace::Workspace;
 use super::{CutId, Refinement, WorkError};
 
@@ -210,7 +210,7 @@ impl OnDevice<'_> {
     pub(crate) fn tree_prefix(
         &self,
         view: &View,
-        prefix: TreePrefix,
+        limits: CoarserCut,
         cancel: &dyn Cancel,
     ) -> Result<Option<Surface>, JobError> {
         let params = self.params_of(view);
@@ -219,14 +219,14 @@ impl OnDevice<'_> {
         };
         let goal = self.tree_goal(view, &tree, &params, cancel)?;
         let coarser = TreeGoal {
-            max_triangles: goal.max_triangles.min(prefix.triangles),
+            max_triangles: goal.max_triangles.min(limits.triangles),
             max_tolerance: f32::INFINITY,
             ..goal
         };
         let surface = self
             .engine
             .tree_prefix(self.volume, self.pyramid, &tree, &params, &coarser, cancel)?;
-        let is_small = surface.statistics.triangles <= goal.max_triangles.min(prefix.max_triangles);
+        let is_small = surface.statistics.triangles <= goal.max_triangles.min(limits.max_triangles);
         Ok(is_small.then(|| self.with_all_stages(surface)))
     }
 
