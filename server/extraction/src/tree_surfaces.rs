@@ -41,7 +41,7 @@ impl Workspace {
         let start = Instant::now();
         self.with_pyramid(volume, view, Nodes::All, context, |job, view, cancel| {
             Ok(match job.tree_surface(view, ceiling_triangles, false, cancel)? {
-                TreeCut::Made(surface) => Some(job.tree_refinement(surface, view, job.own_time(start))),
+                TreeCut::Made(surface) => Some(job.tree_refinement(surface, view, job.time_without_pauses(start))),
                 TreeCut::Refused(_) | TreeCut::NoTree => None,
             })
         })
