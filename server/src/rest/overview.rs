@@ -108,7 +108,7 @@ pub async fn overview(
     let field = field_of(&volume, query.field.as_deref())?;
     let worker = state.worker_for(&who);
     let admit = || {
-        let seat = state.overviews.take(Occupant::from(&who));
+        let seat = state.overviews.acquire(Occupant::from(&who));
         seat.map_err(|refused| ApiError::busy(refused.to_string()))
     };
     let overview = worker.overview(&volume, &field.name, query.mode.into(), admit).await;

@@ -49,7 +49,7 @@ pub(super) async fn events(
     let jobs = state.jobs()?.clone();
     let Path(id) = id?;
     let after = last_event_id(&headers)?;
-    let seat = state.events.take(Occupant::from(&who));
+    let seat = state.events.acquire(Occupant::from(&who));
     let seat = seat.map_err(|refused| ApiError::busy(refused.to_string()))?;
     let changes = jobs.changes();
     let (first_events, is_finished) = jobs.events(who.user(), &id, after).await?;
