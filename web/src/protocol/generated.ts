@@ -70,9 +70,9 @@ export type Capabilities = {
 
 /** Why something has no result. */
 export type Cause = {
-  /** For programs: a code of the problem documents, `input-changed`, `attempts-exhausted` or `over-quota`. */
+  /** Stable code for programs: a code of the problem documents, `input-changed`, `attempts-exhausted` or `over-quota`. */
   code: string,
-  /** For people. */
+  /** Explanation for users. */
   detail: string,
 };
 
@@ -268,9 +268,9 @@ export type EmbedInfo = {
 
 /** What a job is expected to cost, from the full surfaces of some of its extractions. */
 export type Estimate = {
-  /** Triangles at most: of the full surfaces, or of budgets that are below. */
+  /** Maximum triangles: those of the full surfaces, or the budgets if these are lower. */
   triangles: number,
-  /** Bytes of the results at most. */
+  /** Maximum bytes of the results. */
   bytes: number,
   /** Seconds on an idle device. */
   seconds: number,
@@ -289,11 +289,11 @@ export type EstimatedError = {
 
 /** An extraction that failed. */
 export type Failure = {
-  /** Which, from 0. */
+  /** Number of the extraction, from 0. */
   extraction: number,
-  /** For programs: a code of the problem documents, `input-changed`, `attempts-exhausted` or `over-quota`. */
+  /** Stable code for programs: a code of the problem documents, `input-changed`, `attempts-exhausted` or `over-quota`. */
   code: string,
-  /** For people. */
+  /** Explanation for users. */
   detail: string,
 };
 
@@ -395,31 +395,31 @@ export type IsoReason = "bone" | "labels" | "background-left-out" | "whole-histo
 
 /** A batch job. */
 export type JobInfo = {
-  /** Its id. */
+  /** Id of the job. */
   id: string,
-  /** Id of its volume. */
+  /** Id of the job's volume. */
   volume: string,
-  /** Its state. */
+  /** State of the job. */
   state: JobState,
-  /** Why it is paused at the moment, if it is: `disk-full` or `storage`. It goes on by itself. */
+  /** Why the job is paused: `disk-full` or `storage`. Absent if it is not paused. The job resumes by itself. */
   paused?: string,
-  /** Its extractions. */
+  /** Numbers of the job's extractions. */
   extractions: Progress,
-  /** Bytes of its results. */
+  /** Total bytes of the results. */
   bytes: number,
-  /** What it is expected to cost. */
+  /** Expected cost of the job. */
   estimate: Estimate,
-  /** Seconds until it is done, once it runs, as far as known. */
+  /** Estimated seconds until the job is done, if it runs and the time can be estimated. */
   etaSeconds?: number,
-  /** When it was submitted, in seconds since 1970. */
+  /** When the job was submitted, in seconds since 1970. */
   submitted: number,
-  /** When its first extraction began. */
+  /** When the job's first extraction began, in seconds since 1970. */
   started?: number,
-  /** When it was done, failed or cancelled. */
+  /** When the job was done, failed or cancelled, in seconds since 1970. */
   finished?: number,
-  /** Why it failed. */
+  /** Why the job failed. */
   error?: Cause,
-  /** Of one job that was asked for: the first hundred extractions that failed. */
+  /** The first hundred extractions that failed. Only in the description of a single job. */
   failures?: Array<Failure>,
 };
 
@@ -556,13 +556,13 @@ export type Problem = {
 
 /** Numbers of a job's extractions. */
 export type Progress = {
-  /** All. */
+  /** Total number of extractions. */
   total: number,
-  /** With a result. */
+  /** Number of extractions with a result. */
   done: number,
-  /** Without a result, after three attempts, or after the first if others would not help. */
+  /** Number of extractions without a result after three attempts, or after the first one if a retry would not help. */
   failed: number,
-  /** Without one, because the surface has no triangles. */
+  /** Number of extractions without a result because the surface has no triangles. */
   empty: number,
 };
 
@@ -932,37 +932,37 @@ export type UnreadablePath = {
 
 /** An upload. */
 export type UploadInfo = {
-  /** Its name in URLs, made by the server. */
+  /** Id of the upload, which the server has generated. */
   id: string,
-  /** Name for people, of its files. */
+  /** Title for users, from the names of the files. */
   title: string,
-  /** Whose it is. */
+  /** User who owns the upload. */
   owner: string,
-  /** Its state. */
+  /** State of the upload. */
   state: UploadState,
-  /** Number of its files. */
+  /** Number of files. */
   files: number,
-  /** Bytes in all, as they were declared. */
+  /** Total bytes of the files, as declared. */
   bytes: number,
-  /** Bytes that are there: the offset at which to continue. */
+  /** Bytes that the server has received: the offset at which to continue. */
   receivedBytes: number,
-  /** When it was made, RFC 3339. */
+  /** When the upload was created (RFC 3339). */
   created: string,
-  /** When it is removed, unless it is used before: a part of it is sent, or a volume of it is looked at. */
+  /** When the server removes the upload (RFC 3339), unless it is used before: a part of it is sent, or one of its volumes is viewed. */
   expires: string,
-  /** Ids of its volumes, once they are there. */
+  /** Ids of the upload's volumes; empty until the server has read its files. */
   volumes: Array<string>,
-  /** Why it could not be read as a volume, if that was tried. */
+  /** Why the files could not be read as a volume, if the server has tried. */
   error: string | null,
 };
 
-/** What `GET uploads` answers. */
+/** The uploads of a user, and the user's quota. */
 export type UploadList = {
-  /** Bytes that a user may have. */
+  /** Maximum bytes of the user's uploads. */
   quotaBytes: number,
   /** Bytes of the user's uploads that count: as declared, or as unpacked if that is more. */
   usedBytes: number,
-  /** The latest first; an administrator's has those of all users. */
+  /** The uploads, the latest first; for an administrator, those of all users. */
   uploads: Array<UploadInfo>,
 };
 
