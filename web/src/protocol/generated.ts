@@ -9,7 +9,7 @@ export const REGION_CELLS = 32;
 /** Maximum number of control points. */
 export const MAX_POINTS = 64;
 
-/** Of the WebSocket. */
+/** Subprotocol of the WebSocket. */
 export const SUBPROTOCOL = "isopeel.v2";
 
 /** Functions of expressions over fields. */
@@ -42,27 +42,27 @@ export type Box = {
 
 /** Position and target of a camera, in the world. */
 export type Camera = {
-  /** Its own position. */
+  /** Position of the camera. */
   position: [number, number, number],
-  /** What it turns around. */
+  /** Position around which the camera orbits. */
   target: [number, number, number],
   /** How it shows depth. */
   projection: Projection,
 };
 
-/** What this server does beyond what every server of this version does. */
+/** Optional functions that this server supports. */
 export type Capabilities = {
-  /** Surfaces that a connection may have; their numbers are those below. */
+  /** Maximum number of surfaces of a connection. The numbers of surfaces are lower than this. */
   surfaces: number,
-  /** Kinds of chunks that may come. */
+  /** Kinds of chunks that the server may send. */
   chunkKinds: Array<ChunkKind>,
-  /** Whether `measured` may follow `done`. */
+  /** Whether the server may send `measured` after `done`. */
   measuredError: boolean,
-  /** Whether `step` is understood. */
+  /** Whether the server supports `step`. */
   steps: boolean,
   /** Whether volumes and time steps may appear while the server runs. */
   watches: boolean,
-  /** Whether `lead` and `join` are understood. */
+  /** Whether the server supports `lead` and `join`. */
   groups: boolean,
   /** Types of messages that ask about a surface. */
   questions: Array<string>,
@@ -103,26 +103,29 @@ export type Cleaned = {
 
 /** A text frame from a client. */
 export type ClientMessage = { "type": "open",
-  /** Its id. */
+  /** Id of the volume. */
   volume: string,
   /** Time step. */
   step: number,
-  /** Names of codings that the client can read beside that of every client; those that are unknown here count for nothing. */
+  /**
+   * Names of codings that the client can decode in addition to the one that every client can. The server ignores names that it does
+   * not know.
+   */
   codings: Array<string>,
 } | { "type": "step",
-  /** Which one. */
+  /** Number of the time step. */
   step: number,
 } | { "type": "edit" } & SurfaceEdit | { "type": "cancel",
 } | { "type": "remove",
-  /** Its number. */
+  /** Number of the surface. */
   surface: number,
 } | { "type": "drawn",
-  /** Of which edit. */
+  /** Generation whose prefix is on screen. */
   generation: number,
 } | { "type": "probe",
   /** Number of the surface. */
   surface: number,
-  /** In the world. */
+  /** Position in world coordinates. */
   position: [number, number, number],
 } | { "type": "distribution",
   /** Number of the surface. */
@@ -135,27 +138,27 @@ export type ClientMessage = { "type": "open",
 } | { "type": "annotate",
   /** Number of the surface. */
   surface: number,
-  /** Which one. */
+  /** The requested annotation. */
   annotation: Annotation,
 } | { "type": "lead",
   /** The group that was led on another connection. */
   resume: Resume | null,
-  /** As those of `open`, for connections without one. */
+  /** As `codings` of `open`, for a connection that has opened no volume. */
   codings: Array<string>,
 } | { "type": "join",
-  /** Its id. */
+  /** Id of the group. */
   group: string,
-  /** What to be called in it. */
+  /** Name that the leader sees. */
   name: string | null,
-  /** As those of `open`, for connections without one. */
+  /** As `codings` of `open`, for a connection that has opened no volume. */
   codings: Array<string>,
 } | { "type": "heartbeat",
 } | { "type": "leave",
 } | { "type": "pose" } & Pose | { "type": "ask-control",
-  /** Whether it is asked for. */
+  /** True to ask for control, false to withdraw the request. */
   asks: boolean,
 } | { "type": "give-control",
-  /** The follower's number; 0: the leader. */
+  /** Number of the follower; 0: the leader. */
   to: number,
 };
 
@@ -321,21 +324,21 @@ export type FieldInfo = {
 
 /** A field at a position. */
 export type FieldValue = {
-  /** Its name. */
+  /** Name of the field. */
   field: string,
-  /** Trilinear, in the field's units. */
+  /** Trilinearly interpolated value in the field's units; null if there is none. */
   value: number | null,
-  /** Why there is none. */
+  /** Why there is no value. */
   why?: NoValue,
 };
 
-/** Who follows, for the leader. */
+/** A follower, as the leader sees it. */
 export type Follower = {
-  /** Its number in the group, 1 or more. */
+  /** Number of the follower in the group, 1 or more. */
   number: number,
-  /** The name that it has given itself; null if it has given none. */
+  /** Name that the follower has chosen; null if it has none. */
   name: string | null,
-  /** Whether it asks for control. */
+  /** Whether the follower asks for control. */
   asks: boolean,
 };
 
@@ -443,9 +446,9 @@ export type LeafKind = "cubes" | "tree";
 
 /** A surface of the member in control. */
 export type LedSurface = {
-  /** Its number. */
+  /** Number of the surface. */
   surface: number,
-  /** Every value in force. */
+  /** The values of all parameters. */
   edit: Edit,
 };
 
@@ -465,23 +468,23 @@ export type MesherName = "dual" | "marching-cubes";
 
 /** The leaf that stands for a part of the surface. */
 export type NearestLeaf = {
-  /** Of which kind. */
+  /** Kind of the leaf. */
   kind: LeafKind,
-  /** Its level. */
+  /** Level of the leaf. */
   level: number,
-  /** Its estimated error, root mean square in world units. */
+  /** Estimated error of the leaf, root mean square in world units. */
   error: number,
 };
 
 /** The full surface's vertex that is nearest to a position. */
 export type NearestSurface = {
-  /** From the position to it, world units. */
+  /** Distance from the position to the vertex, in world units. */
   distance: number,
   /** Smoothness feature. */
   smoothness: number,
   /** User feature, in the feature's own units. */
   feature: number,
-  /** Of both, what the transfer function looks at. */
+  /** Blend of both features: the input of the transfer function. */
   blended: number,
   /** Importance. */
   importance: number,
@@ -517,9 +520,9 @@ export type Outward = "auto" | "high" | "low";
 
 /** What the page of the member in control shows beside its surfaces. */
 export type Pose = {
-  /** Its camera. */
+  /** Camera of the page. */
   camera?: Camera,
-  /** Its look, as it writes that itself: the server does not read it. */
+  /** State of the page in a format of its own: the server forwards it without reading it. */
   page?: string,
 };
 
@@ -579,11 +582,11 @@ export type RegionError = {
   max: number,
 };
 
-/** What a leader comes back with. */
+/** Credentials with which a leader resumes its group on another connection. */
 export type Resume = {
-  /** The group's id. */
+  /** Id of the group. */
   group: string,
-  /** The key that the leader's `group` had. */
+  /** Key from the message `group` to the leader. */
   key: string,
 };
 
@@ -592,27 +595,27 @@ export type Role = "view" | "edit" | "export" | "upload" | "push" | "admin";
 
 /** A text frame from the server. */
 export type ServerMessage = { "type": "opening",
-  /** Bytes of files and samples that this has gone through so far. */
+  /** Bytes of files and samples that the server has processed so far. */
   bytes: number,
-  /** Bytes that it has to go through. */
+  /** Bytes that the server has to process in total. */
   totalBytes: number,
-  /** The device is being prepared, and nothing was read yet. */
+  /** Progress of the device's preparation, before the server reads the volume. */
   device?: Preparation,
 } | { "type": "opened",
   /** As `GET /api/v1/volumes/{id}`. */
   volume: VolumeInfo,
   /** Time step. */
   step: number,
-  /** Every value in force. */
+  /** The values of all parameters. */
   edit: Edit,
   /** Name of the device. */
   device: string,
-  /** What this server does. */
+  /** Optional functions that this server supports. */
   capabilities: Capabilities,
 } | { "type": "stepped",
-  /** Which one. */
+  /** Number of the time step. */
   step: number,
-  /** Its time as text for people, if the file has times. */
+  /** Time of the step as text for users, if the file has times. */
   label: string | null,
 } | { "type": "described",
   /** As `GET /api/v1/volumes/{id}` of that step. */
@@ -622,17 +625,17 @@ export type ServerMessage = { "type": "opening",
 } | { "type": "prefix",
   /** Number of the surface. */
   surface: number,
-  /** Of which edit. */
+  /** Generation of the surface. */
   generation: number,
   /** Level of the prefix. */
   level: number,
-  /** What its chunks are. */
+  /** Kind of the chunks. */
   kind: ChunkKind,
-  /** Which mesher made them. */
+  /** Mesher that made the chunks. */
   mesher: MesherName,
-  /** Chunks that follow. */
+  /** Number of chunks that follow. */
   regions: number,
-  /** Regions that the client keeps as they are. */
+  /** Number of regions that the client keeps unchanged. */
   unchanged: number,
   /** Triangles of the whole surface once this prefix is committed. */
   triangles: number,
@@ -641,7 +644,7 @@ export type ServerMessage = { "type": "opening",
 } | { "type": "committed",
   /** Number of the surface. */
   surface: number,
-  /** Of which edit. */
+  /** Generation of the surface. */
   generation: number,
   /** Level of the prefix. */
   level: number,
@@ -650,20 +653,20 @@ export type ServerMessage = { "type": "opening",
 } | { "type": "done",
   /** Number of the surface. */
   surface: number,
-  /** Of which edit. */
+  /** Generation of the surface. */
   generation: number,
-  /** What the edit has in the server's log: 16 hexadecimal digits. */
+  /** Id of the edit in the server's log: 16 hexadecimal digits. */
   trace: string,
   /** As `isopeel extract --stats` prints them. */
   statistics: Statistics,
 } | { "type": "measured",
   /** Number of the surface. */
   surface: number,
-  /** Of which edit. */
+  /** Generation of the surface. */
   generation: number,
-  /** Of the whole surface. */
+  /** Error of the whole surface. */
   error: MeasuredError,
-  /** Of each region that has triangles. */
+  /** Error of each region that has triangles. */
   regions: Array<RegionError>,
 } | { "type": "probed",
   /** Number of the surface. */
@@ -681,22 +684,22 @@ export type ServerMessage = { "type": "opening",
 } | { "type": "distribution",
   /** Number of the surface. */
   surface: number,
-  /** Of which edit. */
+  /** Generation of the surface. */
   generation: number,
-  /** What the leaves are. */
+  /** Kind of the leaves. */
   kind: LeafKind,
-  /** Vertices in equal bins from 0 to 1. */
+  /** Number of vertices in each of the equal bins from 0 to 1. */
   bins: Array<number>,
-  /** Of these, those whose leaf stands for others too. */
+  /** Number of those vertices whose leaf stands for several vertices, in each bin. */
   coarse: Array<number>,
   /** Share of `coarse` in all vertices. */
   coarseShare: number,
 } | { "type": "curve",
   /** Number of the surface. */
   surface: number,
-  /** Of which edit. */
+  /** Generation of the surface. */
   generation: number,
-  /** What is cut. */
+  /** Kind of the leaves of the cuts. */
   kind: LeafKind,
   /** Whether thresholds are tolerances, or else β. */
   byError: boolean,
@@ -705,54 +708,54 @@ export type ServerMessage = { "type": "opening",
 } | { "type": "annotated",
   /** Number of the surface. */
   surface: number,
-  /** Of which edit. */
+  /** Generation of the surface. */
   generation: number,
-  /** What they hold. */
+  /** Annotation that the chunks hold. */
   annotation: Annotation,
-  /** How many. */
+  /** Number of chunks that follow. */
   regions: number,
 } | { "type": "superseded",
   /** Number of the surface. */
   surface: number,
-  /** Of which edit. */
+  /** Generation of the surface. */
   generation: number,
 } | { "type": "removed",
   /** Number of the surface. */
   surface: number,
 } | { "type": "group",
-  /** Its id, which a link to it has. */
+  /** Id of the group, which a link to it contains. */
   group: string,
-  /** The viewer's own number in it; 0: it leads. */
+  /** The viewer's own number in the group; 0: the viewer leads. */
   you: number,
-  /** Number of who has control. */
+  /** Number of the member in control. */
   control: number,
-  /** How many follow. */
+  /** Number of followers. */
   followers: number,
   /** Whether the viewer asks for control. */
   asks: boolean,
-  /** The leader's connection was lost; the group waits for it. */
+  /** Whether the leader's connection is lost, so that the group waits for the leader. */
   leaderAway: boolean,
-  /** For the leader alone: what it comes back with on another connection. */
+  /** Only for the leader: the key with which it resumes the group on another connection. */
   key?: string,
-  /** For the leader: some of those who follow, first those who ask for control. */
+  /** Only for the leader: some of the followers, first those who ask for control. */
   people: Array<Follower>,
 } | { "type": "led",
-  /** The volume. */
+  /** Id of the volume. */
   volume: string,
   /** Time step. */
   step: number,
-  /** The surfaces that there are, with every value in force. */
+  /** The surfaces, with the values of all parameters. */
   surfaces: Array<LedSurface>,
 } | { "type": "posed",
-  /** Its camera. */
+  /** Camera of the page. */
   camera?: Camera,
-  /** Its look, as it writes that itself: the server does not read it. */
+  /** State of the page in a format of its own: the server forwards it without reading it. */
   page?: string,
 } | { "type": "heartbeat",
-  /** Time until the next one. */
+  /** Seconds until the next heartbeat. */
   seconds: number,
 } | { "type": "left",
-  /** Why. */
+  /** Why the viewer is no longer in the group. */
   reason: string,
 } | { "type": "error",
   /** Stable code for programs. */
