@@ -107,7 +107,7 @@ pub struct Cleaned {
 #[cfg_attr(feature = "openapi", schema(as = Statistics))]
 #[serde(rename_all = "camelCase")]
 pub struct ExtractionStatistics {
-    /// Which mesher made it.
+    /// Mesher that made the surface.
     pub mesher: MesherName,
     /// Importance up to which cubes were decimated: as given, or for marching cubes as found for a budget. Null: an error or a
     /// budget decided.

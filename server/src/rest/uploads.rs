@@ -68,9 +68,9 @@ impl ApiState {
     responses(
         (
             status = 201,
-            description = "Bytes may be sent",
+            description = "The upload, which is ready to receive bytes",
             body = UploadInfo,
-            headers(("location" = String, description = "Its path")),
+            headers(("location" = String, description = "Path of the upload")),
             links(
                 ("show_upload" = (operation_id = "show_upload", parameters(("id" = "$response.body#/id")))),
                 ("show_upload_offset" = (operation_id = "show_upload_offset", parameters(("id" = "$response.body#/id")))),
@@ -150,7 +150,7 @@ async fn show(
     tag = "uploads",
     params(("id" = String, Path, description = "An upload's id")),
     responses(
-        (status = 204, description = "It is gone"),
+        (status = 204, description = "The upload is removed"),
         (status = 404, description = "`unknown-upload`", body = Problem, content_type = "application/problem+json"),
         (status = 501, description = "`uploads-off`", body = Problem, content_type = "application/problem+json"),
     ),

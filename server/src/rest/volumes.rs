@@ -22,9 +22,9 @@ use crate::service::{DeviceWorker, FieldInfo, VolumeInfo, describe, describe_exp
 #[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(rename_all = "camelCase")]
 pub struct VolumeSummary {
-    /// Stable name in URLs and messages.
+    /// Stable id in URLs and messages.
     pub id: String,
-    /// Name for people.
+    /// Title for users.
     pub title: String,
     /// Samples along x, y, z.
     pub dims: [u32; 3],

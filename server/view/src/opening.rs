@@ -11,9 +11,9 @@ use serde::Serialize;
 pub struct OpeningIso {
     /// Isovalue, in the field's units.
     pub iso: f32,
-    /// Why it is that one, for programs.
+    /// Stable code of the reason for this isovalue.
     pub reason: IsoReason,
-    /// Why it is that one, for people.
+    /// Reason for this isovalue, as text for users.
     pub explanation: String,
 }
 

@@ -24,7 +24,7 @@ export type AxisInfo = {
   name: string,
   /** Unit of the positions, as the file says it. */
   unit: string | null,
-  /** Their kind: `longitude`, `latitude`, `depth`, `height`, `pressure` or `other`. */
+  /** Kind of the positions: `longitude`, `latitude`, `depth`, `height`, `pressure` or `other`. */
   kind: string,
   /** Position of each sample, if the world's coordinates count samples; null: the world's coordinate along the axis is the position. */
   positions: Array<number> | null,
@@ -251,7 +251,7 @@ export type Edit = {
   maxError?: MaxError,
   /** Guard: whether decimation may change the topology. */
   topology?: TopologyName,
-  /** Which mesher. */
+  /** Mesher that turns the cut into triangles. */
   mesher?: MesherName,
   /** Whether surfaces that leave the volume are closed on its faces. Exports only. */
   cap?: boolean,
@@ -263,9 +263,9 @@ export type Edit = {
   interest?: Array<Interest>,
 };
 
-/** Pages that may have the viewer in a frame. */
+/** Pages that may embed the viewer in a frame. */
 export type EmbedInfo = {
-  /** Origins of pages that may, beside those of the server itself; they alone may hand a token to it. */
+  /** Origins of these pages, in addition to the server's own. Only they may pass a token to the viewer. */
   origins: Array<string>,
 };
 
@@ -385,7 +385,7 @@ export type Histogram = {
 
 /** A region of interest, in world coordinates: a sphere or a box. Importance inside is at least its own. */
 export type Interest = {
-  /** The sphere, or else there is a box. */
+  /** The sphere; without it, there is a box. */
   sphere?: Sphere,
   /** The box. */
   box?: Box,
@@ -509,9 +509,9 @@ export type NoValue = "missing" | "not-resident";
 export type OpeningIso = {
   /** Isovalue, in the field's units. */
   iso: number,
-  /** Why it is that one, for programs. */
+  /** Stable code of the reason for this isovalue. */
   reason: IsoReason,
-  /** Why it is that one, for people. */
+  /** Reason for this isovalue, as text for users. */
   explanation: string,
 };
 
@@ -772,13 +772,13 @@ export type ServerMessage = { "type": "opening",
 
 /** What the client may do. */
 export type SessionInfo = {
-  /** All that it may do: `edit` has `view` beside it, and `admin` all. */
+  /** Roles of the client, with those that they imply: `edit` implies `view`, and `admin` implies all. */
   roles: Array<Role>,
-  /** Seconds until its token expires; `null`: it does not expire. */
+  /** Seconds until the client's token expires; `null`: it does not expire. */
   expiresSeconds: number | null,
-  /** Whether it may have batch jobs made: the server keeps some (`--state-folder`), and the client has the role `export`. */
+  /** Whether the client may submit batch jobs: the server runs them (`--state-folder`), and the client has the role `export`. */
   jobs: boolean,
-  /** Whether it may upload volumes: the server takes some (`--uploads`), and the client has the role `upload`. */
+  /** Whether the client may upload volumes: the server accepts them (`--uploads`), and the client has the role `upload`. */
   uploads: boolean,
 };
 
@@ -811,15 +811,15 @@ export type ShareBudget = {
 
 /** A sphere. */
 export type Sphere = {
-  /** Its centre. */
+  /** Centre of the sphere. */
   center: [number, number, number],
-  /** Above 0. */
+  /** Radius, above 0. */
   radius: number,
 };
 
 /** Counts, times and bytes of one surface. */
 export type Statistics = {
-  /** Which mesher made it. */
+  /** Mesher that made the surface. */
   mesher: MesherName,
   /**
    * Importance up to which cubes were decimated: as given, or for marching cubes as found for a budget. Null: an error or a
@@ -982,9 +982,9 @@ export type VectorInfo = {
 
 /** A volume: the description of one time step for the editor. */
 export type VolumeInfo = {
-  /** Stable name in URLs and messages. */
+  /** Stable id in URLs and messages. */
   id: string,
-  /** Name for people. */
+  /** Title for users. */
   title: string,
   /** Positions of the samples. */
   geometry: Geometry,
@@ -1013,9 +1013,9 @@ export type VolumeInfo = {
 
 /** A volume, in short. */
 export type VolumeSummary = {
-  /** Stable name in URLs and messages. */
+  /** Stable id in URLs and messages. */
   id: string,
-  /** Name for people. */
+  /** Title for users. */
   title: string,
   /** Samples along x, y, z. */
   dims: [number, number, number],

@@ -37,7 +37,7 @@ pub const LAST_EVENT_ID: HeaderName = HeaderName::from_static("last-event-id");
         (status = 400, description = "`bad-request`: a malformed id of an event", body = Problem, content_type = "application/problem+json"),
         (status = 404, description = "`unknown-job`", body = Problem, content_type = "application/problem+json"),
         (status = 501, description = "`jobs-off`", body = Problem, content_type = "application/problem+json"),
-        (status = 503, description = "`busy`: as many streams of events are open as may be", body = Problem, content_type = "application/problem+json"),
+        (status = 503, description = "`busy`: the maximum number of event streams is open", body = Problem, content_type = "application/problem+json"),
     ),
 )]
 pub(super) async fn events(
