@@ -160,7 +160,7 @@ fn no_issuer() -> ApiError {
     ApiError::new(
         StatusCode::NOT_FOUND,
         "not-found",
-        "people do not sign in by an issuer here, expected a token",
+        "this server has no issuer to sign in through: authenticate with a token",
     )
 }
 

@@ -42,7 +42,7 @@ impl From<Mode> for OverviewMode {
     }
 }
 
-/// Which overview.
+/// Query of a request for an overview.
 #[derive(Debug, Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
@@ -108,8 +108,8 @@ pub async fn overview(
     let field = field_of(&volume, query.field.as_deref())?;
     let worker = state.worker_for(&who);
     let admit = || {
-        let seat = state.overviews.acquire(Occupant::from(&who));
-        seat.map_err(|refused| ApiError::busy(refused.to_string()))
+        let permit = state.overviews.acquire(Occupant::from(&who));
+        permit.map_err(|error| ApiError::busy(error.to_string()))
     };
     let overview = worker.overview(&volume, &field.name, query.mode.into(), admit).await;
     let overview = overview.map_err(|error| state.failed_on(&who, &volume, error))?;

@@ -590,7 +590,7 @@ export type Resume = {
   key: string,
 };
 
-/** A part of what the server does. */
+/** A role of a user: a set of operations that the user may request. */
 export type Role = "view" | "edit" | "export" | "upload" | "push" | "admin";
 
 /** A text frame from the server. */
@@ -925,7 +925,7 @@ export type TransferFunction = {
 /** Maximum triangles of a surface: a number, or a share of the full surface. */
 export type TriangleBudget = number | ShareBudget;
 
-/** A path that was named to the server and that it cannot read. */
+/** A path that the server was started with and that it cannot read. */
 export type UnreadablePath = {
   /** Name of the file or folder. */
   name: string,
@@ -1011,7 +1011,7 @@ export type VolumeInfo = {
   opening: Edit | null,
 };
 
-/** A volume, in short. */
+/** Summary of a volume. */
 export type VolumeSummary = {
   /** Stable id in URLs and messages. */
   id: string,
@@ -1023,6 +1023,6 @@ export type VolumeSummary = {
   steps: number,
   /** Names of the fields, the main one first. */
   fields: Array<string>,
-  /** What is to be shown beside the data, a line each, as in the volume's description. */
+  /** Notices to be shown with the data, one a line, as in the volume's description. */
   notice: string | null,
 };
