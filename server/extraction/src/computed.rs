@@ -17,8 +17,8 @@ impl Workspace {
     /// Computes a field from others and makes it resident. The computation is launched in pieces of limited time, and other jobs run
     /// between them. `user` is charged for the device time.
     ///
-    /// Returns false if the host has to mask the field instead: its inputs did not fit on the device, or the startup check of the device has
-    /// not yet approved the masking program.
+    /// Returns false if the host has to mask the field instead: its inputs did not fit on the device, or the startup check of the device
+    /// has not yet approved the masking program.
     ///
     /// # Errors
     /// [`JobError`]. If the computation exceeds the limit of a request or of the user: [`WorkError::TookTooLong`] or

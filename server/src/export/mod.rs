@@ -1,7 +1,7 @@
 //! Requests for surfaces and slices as files, and the files that answer them.
 //!
-//! [`FileRequest`] is a request for surfaces, and [`FileContent`] the resulting file. The crate `isopeel-mesh` converts surfaces to meshes and
-//! writes the file formats.
+//! [`FileRequest`] is a request for surfaces, and [`FileContent`] the resulting file. The crate `isopeel-mesh` converts surfaces to meshes
+//! and writes the file formats.
 
 use isopeel_extraction::ExtractionStatistics;
 use isopeel_view::Edit;

@@ -213,7 +213,7 @@ impl ChunkWriter {
     fn spool(&mut self, part: &[u8]) -> io::Result<()> {
         let spooled = match &mut self.spool {
             Some(spool) => spool.append(part),
-            None => self.spool_folder.begin().and_then(|mut spool| {
+            None => self.spool_folder.create_file().and_then(|mut spool| {
                 spool.append(part)?;
                 self.spool = Some(spool);
                 Ok(())
@@ -357,10 +357,10 @@ mod tests {
         assert!(axum::body::to_bytes(body, usize::MAX).await.is_err());
         let all = vec![0; 1 << 20];
         assert!(
-            space.begin().unwrap().append(&all).is_ok(),
+            space.create_file().unwrap().append(&all).is_ok(),
             "what it took is free again"
         );
-        let mut spool = space.begin().unwrap();
+        let mut spool = space.create_file().unwrap();
         spool.append(&all).unwrap();
         let error = spool.append(&[0]).unwrap_err().to_string();
         assert!(error.contains("take 1048576 of 1048576 bytes"), "{error}");
