@@ -291,19 +291,19 @@ mod tests {
     async fn the_body_is_the_file_and_as_long_as_was_said() {
         let semaphore = Arc::new(Semaphore::new(1));
         for format in [Format::Glb, Format::Ply, Format::Stl] {
-            let (made, mut file) = (large_file(format), Vec::new());
-            made.write(&mut file).unwrap();
-            let digest = made.digest(&|| false).unwrap();
+            let (content, mut file) = (large_file(format), Vec::new());
+            content.write(&mut file).unwrap();
+            let digest = content.digest(&|| false).unwrap();
             assert_eq!(digest.bytes, file.len() as u64);
             assert_eq!(digest.hash, xxhash_rust::xxh3::xxh3_128(&file));
-            assert!(made.digest(&|| true).is_err(), "cancelled");
+            assert!(content.digest(&|| true).is_err(), "cancelled");
             let length = file.len() as u64;
             for [from, to] in [[0, length], [0, 1], [length - 1, length], [77, 5_000_000]] {
                 let mut part = Vec::new();
-                write(&made, Part::Range([from, to]), &mut part).unwrap();
+                write(&content, Part::Range([from, to]), &mut part).unwrap();
                 assert!(part == file[from as usize..to as usize], "{format:?}: {from} to {to}");
             }
-            let body = send(made, WHOLE, permit_of(&semaphore).await, SpoolFolder::default());
+            let body = send(content, WHOLE, permit_of(&semaphore).await, SpoolFolder::default());
             let bytes = axum::body::to_bytes(body, usize::MAX).await.unwrap();
             assert!(bytes == file, "{format:?}");
         }
