@@ -12,7 +12,7 @@ use crate::export::FileRequest;
 pub struct JobRequest {
     /// Id of the volume, as `GET /api/v1/volumes` lists it.
     pub volume: String,
-    /// 1 to 10,000 files.
+    /// The files to make, 1 to 10,000.
     #[schema(min_items = 1, max_items = 10_000)]
     pub extractions: Vec<FileRequest>,
 }

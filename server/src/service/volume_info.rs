@@ -196,9 +196,9 @@ pub struct LabelInfo {
     #[cfg_attr(test, ts(optional))]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub stored: Option<String>,
-    /// Name for people.
+    /// Name for users.
     pub name: Option<String>,
-    /// `#rrggbb`.
+    /// Colour, `#rrggbb`.
     pub color: Option<String>,
 }
 

@@ -257,11 +257,11 @@ impl Default for Capabilities {
 #[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(rename_all = "camelCase")]
 pub struct RegionError {
-    /// Region, in units of 32 cells.
+    /// Position of the region, in units of 32 cells.
     pub region: [u32; 3],
-    /// Root mean square.
+    /// Root mean square of the distance.
     pub rms: f32,
-    /// Maximum.
+    /// Maximum of the distance.
     pub max: f32,
 }
 

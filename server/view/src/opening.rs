@@ -17,7 +17,7 @@ pub struct OpeningIso {
     pub explanation: String,
 }
 
-/// What an isovalue was chosen by.
+/// Rule by which an isovalue was chosen.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[cfg_attr(feature = "typescript", derive(ts_rs::TS))]

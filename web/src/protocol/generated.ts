@@ -370,7 +370,7 @@ export type Geometry = {
   unit: string | null,
 };
 
-/** A guard. */
+/** A guard, which limits what decimation may change. */
 export type GuardName = "max-error" | "topology";
 
 /** How often values occur, in equal bins. */
@@ -393,7 +393,7 @@ export type Interest = {
   importance: number,
 };
 
-/** What an isovalue was chosen by. */
+/** Rule by which an isovalue was chosen. */
 export type IsoReason = "bone" | "labels" | "background-left-out" | "whole-histogram" | "no-surface";
 
 /** A batch job. */
@@ -435,9 +435,9 @@ export type Label = {
   value: number,
   /** Number in the file, if it differs from `value`: 32-bit floats do not hold all numbers above 16777216. */
   stored?: string,
-  /** Name for people. */
+  /** Name for users. */
   name: string | null,
-  /** `#rrggbb`. */
+  /** Colour, `#rrggbb`. */
   color: string | null,
 };
 
@@ -457,9 +457,9 @@ export type MaxError = number | string | null;
 
 /** Measured distance of a mesh from the surface it stands for, in world units. */
 export type MeasuredError = {
-  /** Root mean square. */
+  /** Root mean square of the distance. */
   rms: number,
-  /** Maximum. */
+  /** Maximum of the distance. */
   max: number,
 };
 
@@ -574,11 +574,11 @@ export type Projection = "perspective" | "orthographic";
 
 /** The measured error of a region, in world units. */
 export type RegionError = {
-  /** Region, in units of 32 cells. */
+  /** Position of the region, in units of 32 cells. */
   region: [number, number, number],
-  /** Root mean square. */
+  /** Root mean square of the distance. */
   rms: number,
-  /** Maximum. */
+  /** Maximum of the distance. */
   max: number,
 };
 
@@ -833,7 +833,7 @@ export type Statistics = {
   tolerance: number | null,
   /** Guard on the error of a decimated part, world units; null: off. */
   maxError: number | null,
-  /** What holds of the topology. */
+  /** The setting that was in force: whether decimation could change the topology. */
   topology: TopologyName,
   /** Values of the feature that count as 0 and 1: as given, or its own range. Null: no feature. */
   featureRange: [number, number] | null,
@@ -858,8 +858,8 @@ export type Statistics = {
    */
   removedParts: number | null,
   /**
-   * Their triangles in the undecimated marching-cubes surface; those of a cell with several parts count for one of them. Null as
-   * `removedParts`.
+   * Triangles of the removed parts in the undecimated marching-cubes surface; those of a cell with several parts count for one of them.
+   * Null as `removedParts`.
    */
   removedTriangles: number | null,
   /** Positions of `parts` with no surface next to them, which selected nothing. Null as `removedParts`. */
