@@ -73,8 +73,8 @@ impl Engine {
         self.cx.programs.names()
     }
 
-    /// Calls `gate` before a program is built. A call that needs a program that the gate does not allow yet fails with [`Error::NotYet`],
-    /// or with [`Error::Refused`] if the gate returns an error.
+    /// Calls `gate` before a program is built. A call that needs a program that the gate does not allow yet fails with
+    /// [`Error::ProgramUnchecked`], or with [`Error::Refused`] if the gate returns an error.
     pub fn set_gate(&self, gate: Gate) {
         self.cx.programs.set_gate(gate);
     }

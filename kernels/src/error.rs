@@ -71,7 +71,7 @@ pub enum Error {
     Refused(String),
     /// The gate does not allow this program to be built yet.
     #[error("the program {0} is still being checked on this device")]
-    NotYet(String),
+    ProgramUnchecked(String),
     /// The caller's [`crate::Cancel`] cancelled the call between two stages.
     #[error("cancelled")]
     Cancelled,

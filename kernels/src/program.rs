@@ -145,12 +145,12 @@ impl Programs {
     /// Checks that the program of that name may be built.
     ///
     /// # Errors
-    /// [`Error::NotYet`], or [`Error::Refused`] with the reason of the gate or of the compiler check.
+    /// [`Error::ProgramUnchecked`], or [`Error::Refused`] with the reason of the gate or of the compiler check.
     pub fn pass(&self, name: &str) -> Result<()> {
         if let Some(gate) = &*lock(&self.gate)
             && !gate(name).map_err(Error::Refused)?
         {
-            return Err(Error::NotYet(name.to_owned()));
+            return Err(Error::ProgramUnchecked(name.to_owned()));
         }
         self.may_compile()
     }

@@ -100,7 +100,11 @@ fn generate() -> String {
             "MAX_POINTS",
             MAX_POINTS.to_string(),
         ),
-        ("Of the WebSocket.", "SUBPROTOCOL", format!("{SUBPROTOCOL:?}")),
+        (
+            "Subprotocol of the WebSocket.",
+            "SUBPROTOCOL",
+            format!("{SUBPROTOCOL:?}"),
+        ),
         (
             "Functions of expressions over fields.",
             "EXPRESSION_FUNCTIONS",

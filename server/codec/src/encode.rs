@@ -215,9 +215,9 @@ fn check(region: &Region) -> Result<(), EncodeError> {
 pub struct MeshHash {
     /// Hash of the triangles, independent of their order. A region whose triangles the client holds is not sent again. The probability that
     /// two different meshes of one region collide is 10⁻¹⁹.
-    pub triangles: u64,
+    pub unordered: u64,
     /// Hash of the triangles and their corners in order, which identifies the chunk.
-    pub order: u64,
+    pub ordered: u64,
 }
 
 impl MeshHash {
@@ -228,7 +228,7 @@ impl MeshHash {
             hashes.extend(region.vertices.iter().map(|vertex| WireVertex::quantise(vertex).hash()));
             // A missing hash is no error here, because an index above the last vertex is refused when the region is encoded.
             let hash_of = |index: u32| hashes.get(index as usize).copied().unwrap_or_default();
-            let (mut triangles, mut order) = (0_u64, Xxh3::new());
+            let (mut unordered, mut ordered) = (0_u64, Xxh3::new());
             let mut remaining = region.indices.as_chunks::<3>().0;
             for count in region.level_triangles {
                 let (level, coarser) = remaining.split_at_checked(count as usize).unwrap_or((remaining, &[]));
@@ -240,13 +240,13 @@ impl MeshHash {
                         *corner_hashes = triangle.map(hash_of);
                         sum = sum.wrapping_add(triangle_hash(*corner_hashes));
                     }
-                    order.update(bytemuck::cast_slice(&corners[..batch.len()]));
+                    ordered.update(bytemuck::cast_slice(&corners[..batch.len()]));
                 }
-                order.update(&count.to_le_bytes());
-                triangles = folded_product(triangles ^ sum, HASH_KEYS[0]).wrapping_add(sum);
+                ordered.update(&count.to_le_bytes());
+                unordered = folded_product(unordered ^ sum, HASH_KEYS[0]).wrapping_add(sum);
             }
-            let order = order.digest();
-            Self { triangles, order }
+            let ordered = ordered.digest();
+            Self { unordered, ordered }
         })
     }
 }

@@ -479,15 +479,15 @@ impl<C: Coder> Walk<'_, C> {
             (self.known.as_ref()).map(|known| known.order.iter().map(|&old| known.vertices[old as usize]).collect());
         let known_weights = known.as_ref().map_or([0; 3], |known| self.mesh.normal_weights(known));
         let weights = known_weights.map(|weight| self.coder.raw(16, u32::from(weight)) as u16);
-        let is_at_border = self.boundary.border_vertices();
-        for (vertex, &is_at_border) in is_at_border.iter().enumerate() {
+        let is_on_boundary = self.boundary.boundary_vertices();
+        for (vertex, &is_on_boundary) in is_on_boundary.iter().enumerate() {
             let predicted = self.mesh.predicted_normal(vertex, weights);
             for (axis, predicted) in predicted.into_iter().enumerate() {
                 let known = known.as_ref().map_or(0, |known| i32::from(known[vertex].normal[axis]));
                 let change = self
                     .models
                     .normal
-                    .code(&mut self.coder, usize::from(is_at_border), known - predicted);
+                    .code(&mut self.coder, usize::from(is_on_boundary), known - predicted);
                 self.mesh.vertices[vertex].normal[axis] = (predicted + change) as i8;
             }
         }

@@ -17,8 +17,8 @@ impl Workspace {
     /// Computes a field from others and makes it resident. The computation is launched in pieces of limited time, and other jobs run
     /// between them. `user` is charged for the device time.
     ///
-    /// Returns false if the host has to mask the field: either its inputs are not resident because there was no space for them, or the
-    /// check of the device has not reached masking yet.
+    /// Returns false if the host has to mask the field instead: its inputs did not fit on the device, or the startup check of the device
+    /// has not yet approved the masking program.
     ///
     /// # Errors
     /// [`JobError`]. If the computation exceeds the limit of a request or of the user: [`WorkError::TookTooLong`] or
@@ -50,7 +50,7 @@ impl Workspace {
         let take_times = || engine.take_times().unwrap_or_default();
         let smallest_length = volume.dataset().smallest_length() as f32;
         let (start, job_times) = (Instant::now(), JobTimes::default());
-        let is_over_limit = || limit.is_exceeded(job_times.own_time(start));
+        let is_over_limit = || limit.is_exceeded(job_times.time_without_pauses(start));
         let computed = context.run(self, &take_times, &job_times, |cancel| {
             let cancel = &FieldCancel {
                 cancel,
@@ -67,16 +67,16 @@ impl Workspace {
                 Recipe::Expression(parsed) => engine.evaluate(&parsed.expression, &fields, cancel).map(Some),
             }
         });
-        let time = job_times.own_time(start);
+        let time = job_times.time_without_pauses(start);
         if let Some(payer) = payer {
             payer.charge(time, Instant::now());
         }
         let computed = match computed {
-            Err(Error::NotYet(_)) if is_mask => return Ok(false),
+            Err(Error::ProgramUnchecked(_)) if is_mask => return Ok(false),
             Err(Error::Cancelled) if limit.is_exceeded(time) => return Err(limit.error(payer).into()),
             computed => computed?,
         };
-        let computed = computed.ok_or_else(|| WorkError::Edit(key.nothing_inside()))?;
+        let computed = computed.ok_or_else(|| WorkError::Edit(key.no_sample_inside_error()))?;
         tracing::info!(
             dataset = key.step.dataset.id,
             field = key.field,

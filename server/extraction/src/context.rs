@@ -112,8 +112,8 @@ pub struct JobTimes {
 }
 
 impl JobTimes {
-    /// Returns the time of the work itself since `start`.
-    pub fn own_time(&self, start: Instant) -> Duration {
+    /// Returns the time since `start` without the time of other jobs that ran during pauses.
+    pub fn time_without_pauses(&self, start: Instant) -> Duration {
         start.elapsed().saturating_sub(self.other_work.get())
     }
 

@@ -27,7 +27,7 @@ impl Workspace {
             Ok(FullCount {
                 triangles: job.pyramid.full_triangles(),
                 stages: job.new_pyramid_stages().to_vec(),
-                wall: job.own_time(start),
+                wall: job.time_without_pauses(start),
             })
         })
     }

@@ -31,7 +31,7 @@ impl Workspace {
         let (surface, refined, wall) =
             self.with_pyramid(volume, &mut view, Nodes::OfTheView, context, |job, view, cancel| {
                 let (surface, refined) = job.final_surface(view, making, cancel)?;
-                Ok((surface, refined, job.own_time(start)))
+                Ok((surface, refined, job.time_without_pauses(start)))
             })?;
         Ok(Extraction {
             surface,

@@ -104,7 +104,7 @@ impl VolumeKey {
 
 impl VolumeKey {
     /// Returns the error that no sample is inside, so that there are no distances.
-    pub(crate) fn nothing_inside(&self) -> EditError {
+    pub(crate) fn no_sample_inside_error(&self) -> EditError {
         EditError {
             field: "feature",
             why: format!(

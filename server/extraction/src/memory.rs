@@ -3,7 +3,7 @@
 use isopeel_kernels::{DeviceKind, DeviceMemory};
 use serde::Serialize;
 
-/// What holds memory, in bytes. On a device that is this machine's processors all of it is the process's own.
+/// Use of memory, in bytes. If the device is this machine's processors, all of it is the process's own memory.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "camelCase")]
@@ -16,13 +16,13 @@ pub struct MemoryUse {
     pub tree_bytes: u64,
     /// Cuts that clients show, on the device.
     pub cut_bytes: u64,
-    /// Other bytes of the device's buffers: what they were allocated larger than needed, and what a running job uses.
+    /// Other bytes of the device's buffers: what they were allocated larger than needed, and the buffers of the running job.
     pub other_device_bytes: u64,
-    /// Freed on the device and kept for the next edits.
+    /// Buffers on the device that are not in use and are kept for the next edits.
     pub idle_bytes: u64,
     /// Meshes that are being encoded, on the host.
     pub surface_bytes: u64,
-    /// The process before it opened a volume: code, the device's driver and compiled kernels.
+    /// Memory of the process before it opened a volume: code, the device's driver and compiled kernels.
     pub program_bytes: u64,
     /// Memory that the process holds, as the operating system reports it; 0 if it does not.
     pub resident_bytes: u64,

@@ -50,9 +50,9 @@ impl OnDevice<'_> {
             .unwrap_or_else(|| self.params.clone())
     }
 
-    /// Returns the time since `start`, without the time of other jobs in its pauses.
-    pub(crate) fn own_time(&self, start: Instant) -> Duration {
-        self.job_times.own_time(start)
+    /// Returns the time since `start` without the time of other jobs that ran during pauses.
+    pub(crate) fn time_without_pauses(&self, start: Instant) -> Duration {
+        self.job_times.time_without_pauses(start)
     }
 
     /// Adds the stages of the job before its last pause to the surface's stages. If the job has built the pyramid, the pyramid's stages

@@ -120,7 +120,7 @@ fn read_samples(
     let parsed = fields::parse_expression(volume.dataset(), &key.field);
     // Every sample has a distance, or none has.
     if parsed.is_some_and(|parsed| parsed.is_distance) && samples.get(0).is_nan() {
-        return Err(WorkError::Edit(key.nothing_inside()));
+        return Err(WorkError::Edit(key.no_sample_inside_error()));
     }
     let (samples, missing) = match inside.transpose()? {
         Some(inside) => samples.masked(field.missing, |i| inside.get(i) == Some(&true)),

@@ -91,23 +91,29 @@ impl Workspace {
                 && let Some(expected) = expected
                 && let Some(prefix) = unfitted_prefix(job, expected, step)
             {
-                return Ok(make_unfitted(job, view, prefix, cancel)?.refinement(view, false, job.own_time(start)));
+                return Ok(make_unfitted(job, view, prefix, cancel)?.refinement(
+                    view,
+                    false,
+                    job.time_without_pauses(start),
+                ));
             }
             if tree_first
                 && let Some(expected) = expected
-                && let Some(prefix) = tree_steps::next_prefix(step, job.regions(), expected)
-                && let Some(surface) = job.tree_prefix(view, prefix, cancel)?
+                && let Some(coarser) = tree_steps::next_coarser_cut(step, job.regions(), expected)
+                && let Some(surface) = job.tree_prefix(view, coarser, cancel)?
                 // A cut without additional triangles is no progress. It occurs if parts are removed: then every cut has few triangles.
                 && surface.statistics.triangles > step.made_triangles
             {
-                return Ok(job.tree_prefix_refinement(surface, view, job.own_time(start)));
+                return Ok(job.tree_prefix_refinement(surface, view, job.time_without_pauses(start)));
             }
             let cached = step.target.and_then(|id| Some((id, lock(job.cuts).get(id)?)));
             let cached = cached.filter(|(_, target)| !tree_first && target.is_of(job.pyramid));
             let (params, target_id, target, can_improve) = match cached {
                 Some((id, target)) => (job.params_of(view), id, target, view.is_by_error()),
                 None if view.is_by_error() => match job.decide(view, ceiling_triangles, tree_first, false, cancel)? {
-                    Decided::Tree(surface) => return Ok(job.tree_refinement(surface, view, job.own_time(start))),
+                    Decided::Tree(surface) => {
+                        return Ok(job.tree_refinement(surface, view, job.time_without_pauses(start)));
+                    }
                     Decided::Cubes {
                         params,
                         cut: target,
@@ -146,7 +152,11 @@ impl Workspace {
                 target: Some(target_id),
                 meshing: meshing.elapsed(),
             };
-            Ok(result.refinement(view, is_final && can_improve && !builds_tree, job.own_time(start)))
+            Ok(result.refinement(
+                view,
+                is_final && can_improve && !builds_tree,
+                job.time_without_pauses(start),
+            ))
         })
     }
 }

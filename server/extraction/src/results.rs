@@ -137,7 +137,7 @@ pub struct Step {
     pub triangles: u64,
     /// Approximate number of bytes to send.
     pub bytes: u64,
-    /// Bytes that the line takes in the time of a step, as observed. Pauses of the sender, or of a client that draws, do not count.
+    /// Bytes that the connection sends in the time of a step, as observed. Pauses of the sender, or of a client that draws, do not count.
     pub line_bytes: u64,
 }
 

@@ -18,9 +18,9 @@ const NOTHING_MERGED: f32 = -1.0;
 #[cfg_attr(feature = "typescript", derive(ts_rs::TS))]
 #[serde(rename_all = "camelCase")]
 pub struct MeasuredError {
-    /// Root mean square.
+    /// Root mean square of the distance.
     pub rms: f32,
-    /// Maximum.
+    /// Maximum of the distance.
     pub max: f32,
 }
 
@@ -107,7 +107,7 @@ pub struct Cleaned {
 #[cfg_attr(feature = "openapi", schema(as = Statistics))]
 #[serde(rename_all = "camelCase")]
 pub struct ExtractionStatistics {
-    /// Which mesher made it.
+    /// Mesher that made the surface.
     pub mesher: MesherName,
     /// Importance up to which cubes were decimated: as given, or for marching cubes as found for a budget. Null: an error or a
     /// budget decided.
@@ -117,7 +117,7 @@ pub struct ExtractionStatistics {
     pub tolerance: Option<f32>,
     /// Guard on the error of a decimated part, world units; null: off.
     pub max_error: Option<f32>,
-    /// What holds of the topology.
+    /// The setting that was in force: whether decimation could change the topology.
     pub topology: TopologyName,
     /// Values of the feature that count as 0 and 1: as given, or its own range. Null: no feature.
     pub feature_range: Option<[f32; 2]>,
@@ -137,8 +137,8 @@ pub struct ExtractionStatistics {
     /// Parts that were removed, because of `minPart` or `parts`. Null: removal was not asked for, or this is a cut of the octree, which
     /// contains all parts.
     pub removed_parts: Option<u64>,
-    /// Their triangles in the undecimated marching-cubes surface; those of a cell with several parts count for one of them. Null as
-    /// `removedParts`.
+    /// Triangles of the removed parts in the undecimated marching-cubes surface; those of a cell with several parts count for one of them.
+    /// Null as `removedParts`.
     pub removed_triangles: Option<u64>,
     /// Positions of `parts` with no surface next to them, which selected nothing. Null as `removedParts`.
     pub unmatched_positions: Option<u64>,

@@ -1,15 +1,16 @@
-//! Coarser cuts of the vertex tree that come before the final one, so that a slow line shows a change soon.
+//! Coarser cuts of the vertex tree that are sent before the final one, so that a viewer on a slow connection sees a change soon.
 //!
 //! Each cut is a whole surface, which the next one replaces, so all bytes before the final surface are overhead. Therefore there are few
-//! coarser cuts, each several times as large as the one before. A line that takes the final surface at once gets no coarser cut.
+//! coarser cuts, each several times as large as the one before. A connection that can send the final surface within one step gets no
+//! coarser cut.
 
 use super::chunk_bytes::{self, BYTES_OF_100_COARSE_TRIANGLES, BYTES_OF_100_TRIANGLES};
 use super::{Shown, Step};
 
-/// The final surface is sent at once if it has at most the bytes of a step divided by this number.
+/// The final surface is sent at once if it has at most [`Step::line_bytes`] divided by this number.
 const AT_ONCE_DIVISOR: u64 = 4;
 
-/// The first cut has the bytes of a step divided by this number.
+/// The first cut has [`Step::line_bytes`] divided by this number.
 const FIRST_DIVISOR: u64 = 10;
 /// Minimum bytes of the first cut: smaller ones are mostly headers.
 const MIN_FIRST_BYTES: u64 = 80 << 10;
@@ -18,12 +19,13 @@ const MIN_FIRST_BYTES: u64 = 80 << 10;
 const GROWTH: u64 = 4;
 /// Minimum of that factor. The final surface is sent instead of a cut that would grow by less.
 const MIN_GROWTH: u64 = 2;
-/// A second coarser cut is made only if the final surface has more than the bytes of this many steps.
+/// A second coarser cut is made only if the final surface has more than [`Step::line_bytes`] multiplied by this number.
 const LONG_STEPS: u64 = 8;
 
 /// The largest coarser cut has the bytes of the final surface divided by this number.
 const TARGET_DIVISOR: u64 = 5;
-/// As [`TARGET_DIVISOR`], for a cut whose topology needs more triangles than intended.
+/// If keeping the topology needs more triangles than the target, the cut may have up to the bytes of the final surface divided by this
+/// number.
 const MAX_DIVISOR: u64 = 3;
 
 /// Minimum triangles of a coarser cut. A cut of fewer triangles shows too little of a surface.
@@ -31,7 +33,7 @@ const MIN_TRIANGLES: u64 = 1000;
 
 /// Triangles of a coarser cut.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct TreePrefix {
+pub(crate) struct CoarserCut {
     /// Triangles that the cut should have.
     pub triangles: u64,
     /// Maximum triangles of the cut if its topology needs more than `triangles`. If it needs even more, the final surface is sent at once.
@@ -40,9 +42,9 @@ pub(crate) struct TreePrefix {
 
 /// Returns the next coarser cut; `None` if the final one is next. `regions`: number of regions that have cells of the surface; `expected`:
 /// triangles of the final surface.
-pub(crate) fn next_prefix(step: Step, regions: u64, expected: u64) -> Option<TreePrefix> {
+pub(crate) fn next_coarser_cut(step: Step, regions: u64, expected: u64) -> Option<CoarserCut> {
     let final_bytes = chunk_bytes::of_triangles(expected, regions, BYTES_OF_100_TRIANGLES);
-    // A surface that replaces another one at once has to be final.
+    // The client shows a surface of which every region changes only as a whole, so only the final surface may replace it.
     if step.shown == Shown::Alike || final_bytes <= step.line_bytes / AT_ONCE_DIVISOR {
         return None;
     }
@@ -51,13 +53,13 @@ pub(crate) fn next_prefix(step: Step, regions: u64, expected: u64) -> Option<Tre
     let is_long = final_bytes > step.line_bytes.saturating_mul(LONG_STEPS);
     let bytes = match step.made_triangles {
         0 => (step.line_bytes / FIRST_DIVISOR).max(MIN_FIRST_BYTES).min(largest),
-        shown if is_long && largest >= coarse_bytes(shown) * MIN_GROWTH => (coarse_bytes(shown) * GROWTH).min(largest),
+        made if is_long && largest >= coarse_bytes(made) * MIN_GROWTH => (coarse_bytes(made) * GROWTH).min(largest),
         _ => return None,
     };
     let headers = chunk_bytes::of_headers(regions);
     let triangles_of = |bytes: u64| bytes.saturating_sub(headers) * 100 / BYTES_OF_100_COARSE_TRIANGLES;
     let (triangles, max_triangles) = (triangles_of(bytes), triangles_of(final_bytes / MAX_DIVISOR));
-    (triangles >= MIN_TRIANGLES).then_some(TreePrefix {
+    (triangles >= MIN_TRIANGLES).then_some(CoarserCut {
         triangles,
         max_triangles,
     })
@@ -65,12 +67,12 @@ pub(crate) fn next_prefix(step: Step, regions: u64, expected: u64) -> Option<Tre
 
 #[cfg(test)]
 mod tests {
-    use super::next_prefix;
+    use super::next_coarser_cut;
     use crate::{CutId, Shown, Step};
 
     const REGIONS: u64 = 250;
 
-    /// A step on a line that takes `bytes` in 400 ms.
+    /// A step on a connection that sends `bytes` in 400 ms.
     fn step(bytes: u64, made_triangles: u64) -> Step {
         Step {
             shown: Shown::Cut(CutId::new(1)),
@@ -85,36 +87,36 @@ mod tests {
 
     /// The triangles of all coarser cuts.
     fn all(bytes: u64, expected: u64) -> Vec<u64> {
-        let next = |&made: &u64| Some(next_prefix(step(bytes, made), REGIONS, expected)?.triangles);
+        let next = |&made: &u64| Some(next_coarser_cut(step(bytes, made), REGIONS, expected)?.triangles);
         std::iter::successors(next(&0), next).collect()
     }
 
     #[test]
-    fn a_line_that_takes_the_surface_at_once_gets_it_in_one_step() {
+    fn a_connection_that_sends_the_surface_at_once_gets_it_in_one_step() {
         assert!(all(u64::MAX, 1_000_000).is_empty());
         assert!(all(20_000_000, 1_000_000).is_empty());
     }
 
     #[test]
-    fn slower_lines_get_more_steps_and_few_bytes_in_vain() {
+    fn slower_connections_get_more_steps_and_few_superseded_bytes() {
         for (bytes, steps) in [(1_000_000, 1), (250_000, 1), (20_000, 2)] {
             let expected = 300_000;
             let found = all(bytes, expected);
             assert_eq!(found.len(), steps, "{bytes} bytes a step: {found:?}");
-            let vain: u64 = found.iter().map(|triangles| triangles * 8 + REGIONS * 160).sum();
+            let superseded: u64 = found.iter().map(|triangles| triangles * 8 + REGIONS * 160).sum();
             let whole = expected * 45 / 10 + REGIONS * 160;
-            assert!(vain * 10 <= whole * 3, "{vain} of {whole}: {found:?}");
+            assert!(superseded * 10 <= whole * 3, "{superseded} of {whole}: {found:?}");
         }
     }
 
     #[test]
-    fn what_replaces_a_surface_at_once_and_what_is_mostly_headers_has_no_coarser_cut() {
+    fn no_coarser_cut_if_only_the_final_surface_may_be_shown_or_headers_dominate() {
         let alike = Step {
             shown: Shown::Alike,
             ..step(20_000, 0)
         };
-        assert_eq!(next_prefix(alike, REGIONS, 300_000), None);
+        assert_eq!(next_coarser_cut(alike, REGIONS, 300_000), None);
         assert!(all(10_000, 10_000).is_empty());
-        assert_eq!(next_prefix(step(20_000, 0), 100_000, 300_000), None);
+        assert_eq!(next_coarser_cut(step(20_000, 0), 100_000, 300_000), None);
     }
 }

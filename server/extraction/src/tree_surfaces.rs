@@ -18,7 +18,7 @@ use super::job_error::JobError;
 use super::on_device::{Nodes, OnDevice};
 use super::questions::index_inside;
 use super::results::{Making, Refining};
-use super::tree_steps::TreePrefix;
+use super::tree_steps::CoarserCut;
 use super::workspace::Workspace;
 use super::{CutId, Refinement, WorkError};
 
@@ -41,7 +41,7 @@ impl Workspace {
         let start = Instant::now();
         self.with_pyramid(volume, view, Nodes::All, context, |job, view, cancel| {
             Ok(match job.tree_surface(view, ceiling_triangles, false, cancel)? {
-                TreeCut::Made(surface) => Some(job.tree_refinement(surface, view, job.own_time(start))),
+                TreeCut::Made(surface) => Some(job.tree_refinement(surface, view, job.time_without_pauses(start))),
                 TreeCut::Refused(_) | TreeCut::NoTree => None,
             })
         })
@@ -210,7 +210,7 @@ impl OnDevice<'_> {
     pub(crate) fn tree_prefix(
         &self,
         view: &View,
-        prefix: TreePrefix,
+        limits: CoarserCut,
         cancel: &dyn Cancel,
     ) -> Result<Option<Surface>, JobError> {
         let params = self.params_of(view);
@@ -219,14 +219,14 @@ impl OnDevice<'_> {
         };
         let goal = self.tree_goal(view, &tree, &params, cancel)?;
         let coarser = TreeGoal {
-            max_triangles: goal.max_triangles.min(prefix.triangles),
+            max_triangles: goal.max_triangles.min(limits.triangles),
             max_tolerance: f32::INFINITY,
             ..goal
         };
         let surface = self
             .engine
             .tree_prefix(self.volume, self.pyramid, &tree, &params, &coarser, cancel)?;
-        let is_small = surface.statistics.triangles <= goal.max_triangles.min(prefix.max_triangles);
+        let is_small = surface.statistics.triangles <= goal.max_triangles.min(limits.max_triangles);
         Ok(is_small.then(|| self.with_all_stages(surface)))
     }
 

@@ -97,7 +97,7 @@ impl DelegatedTokens {
     pub(super) fn find(&self, id: &str, token: &str) -> Option<Delegated> {
         let tokens = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         let (hash, delegated) = tokens.get(id)?;
-        (hash.is_of(token) && delegated.is_valid()).then(|| delegated.clone())
+        (hash.matches(token) && delegated.is_valid()).then(|| delegated.clone())
     }
 }
 
@@ -107,7 +107,7 @@ impl Access {
     /// # Errors
     /// [`DelegateError`].
     pub fn lend(&self, who: &Identity, roles: Vec<Role>, seconds: u64) -> Result<Token, DelegateError> {
-        let Some(proofs) = &self.proofs else {
+        let Some(authenticator) = &self.authenticator else {
             return Err(DelegateError::NoAuth);
         };
         if who.is_delegated() {
@@ -127,7 +127,7 @@ impl Access {
         if !has_all {
             return Err(DelegateError::NotOwn(who.roles(), roles));
         }
-        proofs.delegated().lend(who, roles, seconds)
+        authenticator.delegated().lend(who, roles, seconds)
     }
 }
 
@@ -157,7 +157,7 @@ mod tests {
         let refused = access.exchange(token.text()).expect_err("it is for no cookie");
         assert_eq!(refused.status().as_u16(), 403);
         // A token that has expired already: the minimum lifetime of ten seconds is too long for a test.
-        let lent = access.proofs.as_ref().expect("proofs").delegated();
+        let lent = access.authenticator.as_ref().expect("authenticator").delegated();
         let ended = lent.lend(&operator, vec![Role::View].into(), 0).expect("a token");
         assert!(access.who(ended.text()).is_none());
     }
@@ -215,7 +215,7 @@ mod tests {
     fn there_are_only_so_many() {
         let (access, operator) = access();
         let other = Identity::without_token();
-        let lent = access.proofs.as_ref().expect("proofs").delegated();
+        let lent = access.authenticator.as_ref().expect("authenticator").delegated();
         for _ in 0..MAX_OF_LENDER {
             lent.lend(&operator, vec![Role::View].into(), 60).expect("a token");
         }

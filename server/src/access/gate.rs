@@ -96,7 +96,7 @@ impl Access {
         if required == RequiredAccess::Nothing || *method == Method::OPTIONS {
             return Ok(None);
         }
-        let Some(proofs) = &self.proofs else {
+        let Some(authenticator) = &self.authenticator else {
             return Ok(Some(Identity::without_token()));
         };
         let ticket = uri.query().filter(|_| path == STREAM_PATH).and_then(ticket::in_query);
@@ -105,7 +105,7 @@ impl Access {
                 let who = self.tickets.take(ticket, headers.get(ORIGIN), Instant::now());
                 (Proof::Ticket, who.ok_or_else(bad_ticket)?)
             }
-            None => proofs.find(headers, &self.cookie).ok_or_else(unauthorized)?,
+            None => authenticator.find(headers, &self.cookies).ok_or_else(unauthorized)?,
         };
         // Browsers attach the cookie to requests of any page. So a request that relies on the cookie must state the origin of its page.
         if proof == Proof::Cookie && (is_write || path == STREAM_PATH) && !headers.contains_key(ORIGIN) {
@@ -139,7 +139,7 @@ impl Access {
         }
         // Without authentication, only the rate limit of the peer applies.
         match &self.rates {
-            Some(rates) if self.proofs.is_some() => {
+            Some(rates) if self.authenticator.is_some() => {
                 let charged = rates.charge_token(who.token(), rate::cost(method, path));
                 charged.map_err(|wait| too_many(wait, "this token"))
             }
@@ -152,13 +152,15 @@ impl Access {
     /// # Errors
     /// The token is unknown, or it is a delegated token, for which the server issues no cookies.
     pub fn exchange(&self, token: &str) -> Result<Option<HeaderValue>, ApiError> {
-        let Some(proofs) = &self.proofs else { return Ok(None) };
-        let who = proofs.of_token(token).ok_or_else(unauthorized)?;
+        let Some(authenticator) = &self.authenticator else {
+            return Ok(None);
+        };
+        let who = authenticator.of_token(token).ok_or_else(unauthorized)?;
         if who.is_delegated() {
             let message = "this token is a delegated one, for which there is no cookie: send it as `Authorization: Bearer` with each request";
             return Err(ApiError::new(StatusCode::FORBIDDEN, "lent-token", message));
         }
-        Ok(Some(self.cookie.of(token, &who)))
+        Ok(Some(self.cookies.set_for_token(token, &who)))
     }
 
     /// Issues a ticket for a stream. The ticket is valid for a page of this origin; without an origin, for a client that is not a page.

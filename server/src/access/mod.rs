@@ -3,8 +3,8 @@
 //! - Its header `Host` names a host of this server (`host`).
 //! - It comes from a page of the server or of an allowed origin (`origin`).
 //! - It carries a `proof` of its sender (`identity`): a `token`, a session or a ticket. A token is the start token, a token of the state
-//!   folder   (`named`, `watched`) or a delegated one (`delegated`). A session (`signed_in`) begins with a sign-in through an OpenID
-//!   Connect issuer   (`oidc`, `sign_in`). A `ticket` is for a stream only; a page with a token or a session requests the ticket first.
+//!   folder (`named`, `watched`) or a delegated one (`delegated`). A session (`signed_in`) begins with a sign-in through an OpenID
+//!   Connect issuer (`oidc`, `sign_in`). A `ticket` is for a stream only; a page with a token or a session requests the ticket first.
 //! - The sender has a `role` that allows the request.
 //! - The rate limits (`rate`) of the token and of the `peer` are not exceeded.
 //!
@@ -51,7 +51,7 @@ pub use token::{Token, TokenError};
 pub use watched::TokenWatch;
 
 use host::AllowedHosts;
-use proof::{CookieName, Proofs};
+use proof::{Authenticator, CookieFactory};
 use rate::RateLimits;
 use ticket::Tickets;
 
@@ -65,9 +65,9 @@ pub struct Access {
     frames: Arc<[AllowedOrigin]>,
     /// Origins of `--public-url`.
     public_origins: Arc<[AllowedOrigin]>,
-    cookie: CookieName,
+    cookies: CookieFactory,
     /// `None` if the server runs without authentication.
-    proofs: Option<Proofs>,
+    authenticator: Option<Authenticator>,
     tickets: Tickets,
     /// `None` if there are no rate limits.
     rates: Option<RateLimits>,
@@ -86,8 +86,8 @@ impl Access {
             origins: origins.into(),
             frames: Arc::default(),
             public_origins: public.iter().map(|url| url.origin().clone()).collect(),
-            cookie: CookieName::new(listen.port(), public.first().is_some_and(PublicUrl::is_https)),
-            proofs: None,
+            cookies: CookieFactory::new(listen.port(), public.first().is_some_and(PublicUrl::is_https)),
+            authenticator: None,
             tickets: Tickets::default(),
             rates: None,
             proxies: Arc::default(),
@@ -99,22 +99,22 @@ impl Access {
     /// Declares that the server encrypts connections itself, so that its cookie is for HTTPS only.
     #[must_use]
     pub fn with_tls(mut self) -> Self {
-        self.cookie = self.cookie.by_tls();
+        self.cookies = self.cookies.for_https();
         self
     }
 
     /// Requires authentication. `token` is the start token, which has all roles.
     #[must_use]
     pub fn with_token(mut self, token: &Token) -> Self {
-        self.proofs = Some(Proofs::new(token));
+        self.authenticator = Some(Authenticator::new(token));
         self
     }
 
     /// Also accepts the tokens of a state folder. Has no effect on a server without authentication.
     #[must_use]
     pub fn with_named(mut self, tokens: &TokenWatch) -> Self {
-        if let Some(proofs) = &mut self.proofs {
-            proofs.add_named(tokens.tokens());
+        if let Some(authenticator) = &mut self.authenticator {
+            authenticator.add_named(tokens.tokens());
         }
         self
     }
@@ -154,9 +154,9 @@ impl Access {
 
     /// Returns the identity of the owner of a token; `None` if the token is not valid.
     pub fn who(&self, token: &str) -> Option<Identity> {
-        match &self.proofs {
+        match &self.authenticator {
             None => Some(Identity::without_token()),
-            Some(proofs) => proofs.of_token(token),
+            Some(authenticator) => authenticator.of_token(token),
         }
     }
 

@@ -28,25 +28,25 @@ pub(super) enum Proof {
 
 /// Checks tokens and cookies, of which it stores only hashes.
 #[derive(Clone, Debug)]
-pub(super) struct Proofs {
-    /// Hash of the start token.
-    token: Hash,
+pub(super) struct Authenticator {
+    /// Hash of the start token: the token of the user who started the server, which has all roles.
+    start_token: Hash,
     /// Hash of the cookie for the start token.
-    cookie: Hash,
+    start_cookie: Hash,
     /// Identity of the owner of the start token.
     start: Identity,
-    /// Tokens of a state folder.
+    /// Named tokens, which the server reloads when the token file in its state folder changes; `None` without a state folder.
     named: Option<watch::Receiver<Arc<NamedTokens>>>,
     /// Sessions of users who have signed in through an issuer.
     sessions: Sessions,
     delegated: DelegatedTokens,
 }
 
-impl Proofs {
+impl Authenticator {
     pub(super) fn new(token: &Token) -> Self {
         Self {
-            token: Hash::of(token.text()),
-            cookie: Hash::of(&cookie_value(token.text())),
+            start_token: Hash::of(token.text()),
+            start_cookie: Hash::of(&cookie_value(token.text())),
             start: Identity::of_start("start"),
             named: None,
             sessions: Sessions::default(),
@@ -70,20 +70,20 @@ impl Proofs {
 
     /// Returns the identity of a token's owner; `None` if the token is not valid.
     pub(super) fn of_token(&self, token: &str) -> Option<Identity> {
-        if self.token.is_of(token) {
+        if self.start_token.matches(token) {
             return Some(self.start.clone());
         }
         let id = id_of(token)?;
-        let named = self.of_named(id, |named| named.sha256.is_of(token));
+        let named = self.of_named(id, |named| named.sha256.matches(token));
         named.or_else(|| self.delegated.find(id, token).map(Identity::of_delegated))
     }
 
     /// Returns the identity that the value of a cookie stands for; `None` if the value is not valid.
     fn of_cookie(&self, value: &str) -> Option<Identity> {
         match value.split_once('.') {
-            None => self.cookie.is_of(value).then(|| self.start.clone()),
+            None => self.start_cookie.matches(value).then(|| self.start.clone()),
             Some((SIGNED_IN, secret)) => self.sessions.find(secret).map(Identity::of_signed_in),
-            Some((id, value)) => self.of_named(id, |named| named.cookie.is_of(value)),
+            Some((id, value)) => self.of_named(id, |named| named.cookie.matches(value)),
         }
     }
 
@@ -95,7 +95,7 @@ impl Proofs {
     }
 
     /// Returns how a request authenticates its sender, and the sender; `None` if the request has no valid proof.
-    pub(super) fn find(&self, headers: &HeaderMap, cookie: &CookieName) -> Option<(Proof, Identity)> {
+    pub(super) fn find(&self, headers: &HeaderMap, cookies: &CookieFactory) -> Option<(Proof, Identity)> {
         let bearer = headers.get(AUTHORIZATION).and_then(|value| value.to_str().ok());
         let bearer = bearer.and_then(|value| {
             let (scheme, token) = value.split_once(' ')?;
@@ -104,31 +104,31 @@ impl Proofs {
         if let Some(who) = bearer.and_then(|token| self.of_token(token)) {
             return Some((Proof::Header, who));
         }
-        cookies(headers, &cookie.name)
+        values_of_cookies(headers, &cookies.name)
             .find_map(|value| self.of_cookie(value))
             .map(|who| (Proof::Cookie, who))
     }
 }
 
 /// Returns the values of all cookies with this name.
-fn cookies<'a>(headers: &'a HeaderMap, name: &'a str) -> impl Iterator<Item = &'a str> {
+fn values_of_cookies<'a>(headers: &'a HeaderMap, name: &'a str) -> impl Iterator<Item = &'a str> {
     let values = headers.get_all(COOKIE).iter().filter_map(|value| value.to_str().ok());
     let pairs = values.flat_map(|value| value.split(';'));
     let pairs = pairs.filter_map(|pair| pair.trim().split_once('='));
     pairs.filter_map(move |(other, value)| (other == name).then_some(value))
 }
 
-/// Name and attributes of the cookies of a server.
+/// Creates the cookies of a server, and finds them in requests.
 #[derive(Clone, Debug)]
-pub(super) struct CookieName {
+pub(super) struct CookieFactory {
     name: Arc<str>,
     port: u16,
     is_https: bool,
 }
 
-impl CookieName {
-    /// Returns the name for a server. `port` distinguishes several servers on one host, because cookies are shared by all ports. `is_https`
-    /// is whether browsers reach the server by HTTPS.
+impl CookieFactory {
+    /// Creates the factory of a server. `port` distinguishes several servers on one host, because cookies are shared by all ports.
+    /// `is_https` is whether browsers reach the server by HTTPS.
     pub(super) fn new(port: u16, is_https: bool) -> Self {
         let prefix = if is_https { "__Host-" } else { "" };
         Self {
@@ -138,13 +138,13 @@ impl CookieName {
         }
     }
 
-    /// Returns the name for the same server if it encrypts connections itself.
-    pub(super) fn by_tls(&self) -> Self {
+    /// Returns the same with the attributes for HTTPS: the prefix `__Host-` and `Secure`.
+    pub(super) fn for_https(&self) -> Self {
         Self::new(self.port, true)
     }
 
-    /// Returns the header that sets the cookie which stands for a token.
-    pub(super) fn of(&self, token: &str, who: &Identity) -> HeaderValue {
+    /// Returns the `Set-Cookie` header with which a browser authenticates as the owner of `token`.
+    pub(super) fn set_for_token(&self, token: &str, who: &Identity) -> HeaderValue {
         let value = cookie_value(token);
         // The value of a named token begins with its id, by which the server finds the hash of the cookie.
         let value = match who.is_named() {
@@ -166,7 +166,7 @@ impl CookieName {
 
     /// Returns the secret of the session from the cookies of a request.
     pub(super) fn session<'a>(&'a self, headers: &'a HeaderMap) -> Option<&'a str> {
-        cookies(headers, &self.name).find_map(|value| value.strip_prefix(SIGNED_IN)?.strip_prefix('.'))
+        values_of_cookies(headers, &self.name).find_map(|value| value.strip_prefix(SIGNED_IN)?.strip_prefix('.'))
     }
 
     /// Returns the header that sets the cookie of a sign-in in progress, which the browser stores for `seconds`.
@@ -176,7 +176,9 @@ impl CookieName {
 
     /// Returns the secret of a sign-in in progress from the cookies of a request.
     pub(super) fn sign_in_secret(&self, headers: &HeaderMap) -> Option<String> {
-        cookies(headers, &self.sign_in_name()).next().map(str::to_owned)
+        values_of_cookies(headers, &self.sign_in_name())
+            .next()
+            .map(str::to_owned)
     }
 
     /// Returns the name of the cookie of a sign-in in progress.
@@ -201,12 +203,12 @@ mod tests {
     }
 
     #[test]
-    fn the_token_and_its_cookie_are_proofs_and_nothing_else_is() {
+    fn only_the_token_and_its_cookie_authenticate() {
         let (token, other) = (Token::random().expect("random"), Token::random().expect("random"));
-        let (proofs, cookies) = (Proofs::new(&token), CookieName::new(8417, false));
-        assert!(proofs.of_token(other.text()).is_none() && proofs.of_token("").is_none());
-        let who = proofs.of_token(token.text()).expect("the right token");
-        let cookie = cookies.of(token.text(), &who);
+        let (authenticator, cookies) = (Authenticator::new(&token), CookieFactory::new(8417, false));
+        assert!(authenticator.of_token(other.text()).is_none() && authenticator.of_token("").is_none());
+        let who = authenticator.of_token(token.text()).expect("the right token");
+        let cookie = cookies.set_for_token(token.text(), &who);
         let cookie = cookie.to_str().expect("ASCII");
         let (pair, attributes) = cookie.split_once(';').expect("attributes");
         assert_eq!(attributes, " Path=/; HttpOnly; SameSite=Lax");
@@ -231,18 +233,18 @@ mod tests {
             (with(COOKIE, &format!("{name}=")), None),
             (HeaderMap::new(), None),
         ] {
-            let found = proofs.find(&headers, &cookies);
+            let found = authenticator.find(&headers, &cookies);
             assert_eq!(found.map(|(proof, _)| proof), proof, "{headers:?}");
         }
-        assert!(!format!("{proofs:?}").contains(token.text()));
+        assert!(!format!("{authenticator:?}").contains(token.text()));
     }
 
     #[test]
-    fn by_tls_the_cookie_is_of_this_host_alone() {
+    fn over_https_the_cookie_is_for_this_host_only() {
         let token = Token::random().expect("random");
-        let cookie = CookieName::new(443, false)
-            .by_tls()
-            .of(token.text(), &Identity::without_token());
+        let cookie = CookieFactory::new(443, false)
+            .for_https()
+            .set_for_token(token.text(), &Identity::without_token());
         let cookie = cookie.to_str().expect("ASCII");
         assert!(
             cookie.starts_with("__Host-isopeel-443=") && cookie.ends_with("; Path=/; HttpOnly; SameSite=Lax; Secure"),

@@ -111,7 +111,7 @@ impl Seats {
     ///
     /// # Errors
     /// The limit of all users, of this user or of this address is reached.
-    pub fn take(&self, occupant: Occupant) -> Result<Seat, NoSeat> {
+    pub fn acquire(&self, occupant: Occupant) -> Result<Seat, NoSeat> {
         let mut taken = self.lock();
         taken.admit(&self.0.limits, &occupant)?;
         taken.total += 1;
@@ -196,7 +196,7 @@ mod tests {
             address: Some([192, 0, 2, address].into()),
             is_admin,
         };
-        std::iter::from_fn(|| seats.take(occupant.clone()).ok()).collect()
+        std::iter::from_fn(|| seats.acquire(occupant.clone()).ok()).collect()
     }
 
     fn refused(seats: &Seats, user: &str, address: u8) -> String {
@@ -205,7 +205,7 @@ mod tests {
             address: Some([192, 0, 2, address].into()),
             is_admin: false,
         };
-        seats.take(occupant).expect_err("no seat").to_string()
+        seats.acquire(occupant).expect_err("no seat").to_string()
     }
 
     #[test]

@@ -24,7 +24,7 @@ impl Access {
             .as_ref()
             .ok_or_else(|| ApiError::not_found("/api/v1/oidc/login"))?;
         let (address, secret) = oidc.begin().await?;
-        Ok((address, self.cookie.of_sign_in(&secret, SIGN_IN_LIFETIME.as_secs())))
+        Ok((address, self.cookies.of_sign_in(&secret, SIGN_IN_LIFETIME.as_secs())))
     }
 
     /// Completes a sign-in after the browser has returned from the issuer with a code. Returns the user, and two headers: one sets the
@@ -38,17 +38,17 @@ impl Access {
         state: &str,
         code: &str,
     ) -> Result<(Identity, [HeaderValue; 2]), ApiError> {
-        let (Some(oidc), Some(proofs)) = (&self.oidc, &self.proofs) else {
+        let (Some(oidc), Some(authenticator)) = (&self.oidc, &self.authenticator) else {
             return Err(ApiError::not_found("/api/v1/oidc/callback"));
         };
-        let secret = self.cookie.sign_in_secret(headers);
+        let secret = self.cookies.sign_in_secret(headers);
         let confirmed = oidc.end(secret.as_deref(), state, code).await?;
         let secret = random().map_err(ApiError::internal)?;
-        let sessions = proofs.sessions();
+        let sessions = authenticator.sessions();
         sessions.begin(&secret, &confirmed.user, confirmed.roles, SESSION_SECONDS);
         let who = sessions.find(&secret).map(Identity::of_signed_in);
         let who = who.ok_or_else(|| ApiError::internal("a session that just began has ended"))?;
-        Ok((who, [self.cookie.of_session(&secret), self.cookie.of_sign_in("", 0)]))
+        Ok((who, [self.cookies.of_session(&secret), self.cookies.of_sign_in("", 0)]))
     }
 
     /// Returns the address of the page with the reason of a failed sign-in, which the page shows.
@@ -60,15 +60,15 @@ impl Access {
     /// Ends the session of a request's cookie, if there is one. Returns the address at which the user also signs out at the issuer, and the
     /// header that removes the cookie.
     pub async fn sign_out(&self, headers: &HeaderMap) -> (Option<String>, HeaderValue) {
-        let secret = self.cookie.session(headers);
-        let has_ended = match (&self.proofs, secret) {
-            (Some(proofs), Some(secret)) => proofs.sessions().end(secret),
+        let secret = self.cookies.session(headers);
+        let has_ended = match (&self.authenticator, secret) {
+            (Some(authenticator), Some(secret)) => authenticator.sessions().end(secret),
             _ => false,
         };
         let issuer_address = match &self.oidc {
             Some(oidc) if has_ended => oidc.sign_out().await,
             _ => None,
         };
-        (issuer_address, self.cookie.gone())
+        (issuer_address, self.cookies.gone())
     }
 }

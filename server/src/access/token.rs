@@ -114,7 +114,7 @@ impl Hash {
     }
 
     /// Whether this is the hash of `secret`.
-    pub(super) fn is_of(&self, secret: &str) -> bool {
+    pub(super) fn matches(&self, secret: &str) -> bool {
         *self == Self::of(secret)
     }
 }
@@ -173,7 +173,7 @@ mod tests {
     #[test]
     fn a_hash_is_of_one_secret_and_is_not_printed() {
         let hash = Hash::of("a");
-        assert!(hash.is_of("a") && !hash.is_of("b") && hash != Hash::of("b"));
+        assert!(hash.matches("a") && !hash.matches("b") && hash != Hash::of("b"));
         assert_eq!(format!("{hash:?}"), "Hash");
         let text = serde_json::to_string(&hash).expect("JSON");
         assert_eq!(text.len(), 2 + 64);

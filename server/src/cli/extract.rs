@@ -17,7 +17,7 @@ use crate::cli::device::DeviceArgs;
 use crate::cli::output::{Output, OutputError, STDOUT};
 use crate::cli::stdin::InputPath;
 use crate::cli::surface::{SurfaceArgs, TransferFunctionError};
-use crate::export::{FileRequest, FileSurface, Format, MadeFile, MadeSurface, MakeError, OtherVolumes, why_empty};
+use crate::export::{FileContent, FileRequest, FileSurface, Format, MadeSurface, MakeError, OtherVolumes, why_empty};
 use crate::service::DeviceWorker;
 
 /// Arguments of `isopeel extract`.
@@ -195,7 +195,7 @@ async fn extract(args: &Args, work: Work, token: CancellationToken) -> Result<()
     }
     let mut statistics = ExtractionStatistics::of_several(statistics_only);
     if let Some(output) = output {
-        let file = MadeFile::new(&volume, &request, surfaces_made);
+        let file = FileContent::new(&volume, &request, surfaces_made);
         statistics = file.statistics.clone();
         progress.show(&format!(
             "writing {} triangles to {}",

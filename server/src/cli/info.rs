@@ -70,7 +70,8 @@ struct Report {
     #[serde(skip_serializing_if = "Option::is_none")]
     axes: Option<[Option<AxisInfo>; 3]>,
     fields: Vec<FieldReport>,
-    /// Names of features: first those of the shown field, then those of vector fields.
+    /// Names of the features that the device can compute: first those that are derived from the surface's own field, then those of vector
+    /// fields.
     features: Vec<String>,
 }
 
@@ -259,16 +260,16 @@ impl FieldReport {
                     sparkline(&self.histogram)
                 )?;
                 let OpeningIso { iso, explanation, .. } = &self.opening_iso;
-                writeln!(out, "  isovalue    {}{unit} opens it: {explanation}", number(*iso))?;
+                writeln!(out, "  isovalue    {}{unit} by default: {explanation}", number(*iso))?;
             }
             None => writeln!(out, "  range       none: no sample has a value")?,
         }
         if let Some(missing) = self.missing {
             writeln!(
                 out,
-                "  missing     {}, {} samples",
-                number(missing),
-                self.missing_samples
+                "  missing     {} samples, marked by the value {}",
+                self.missing_samples,
+                number(missing)
             )?;
         }
         let labels = self.labels.as_deref().unwrap_or_default();
@@ -370,8 +371,8 @@ mod tests {
             "field ramp",
             "short in the file, i16 on the device",
             "range       0 to 62 HU",
-            "isovalue    30.515625 HU opens it: between two classes of values",
-            "missing     -1, 1 samples",
+            "isovalue    30.515625 HU by default: between two classes of values",
+            "missing     1 samples, marked by the value -1",
             "features\n  gradient-magnitude\n  mean-curvature\n",
         ] {
             assert!(text.contains(line), "{line:?} in\n{text}");
@@ -383,7 +384,7 @@ mod tests {
     }
 
     #[test]
-    fn what_the_grid_does_not_say_is_said() {
+    fn interpolation_onto_an_even_grid_is_noticed() {
         let uneven = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/fixtures/volumes/xarray-uneven.zarr");
         let mut out = Vec::new();
         run(&uneven, &mut out).unwrap();

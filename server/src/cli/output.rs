@@ -7,7 +7,7 @@ use sha2::{Digest, Sha256};
 use tempfile::NamedTempFile;
 use tokio_util::sync::CancellationToken;
 
-use crate::export::{ExportError, MadeFile};
+use crate::export::{ExportError, FileContent};
 
 /// Bytes of the write buffer.
 const BUFFER_BYTES: usize = 1 << 20;
@@ -150,8 +150,13 @@ impl Output {
         write().map_err(|source| OutputError::File { path, source })
     }
 
-    /// Writes the file of a surface, and renames the file.
-    pub(super) fn write(mut self, made: &MadeFile, token: &CancellationToken) -> Result<WrittenFile, OutputError> {
+    /// Writes `content` to stdout or to the temporary file, and renames the temporary file to its final name. Fails if `token` is
+    /// cancelled.
+    pub(super) fn write(
+        mut self,
+        content: &FileContent,
+        token: &CancellationToken,
+    ) -> Result<WrittenFile, OutputError> {
         let mut stdout = io::stdout();
         let out: &mut dyn Write = match &mut self.file {
             Some(file) => file.as_file_mut(),
@@ -164,7 +169,7 @@ impl Output {
             bytes: 0,
         };
         let mut buffered = BufWriter::with_capacity(BUFFER_BYTES, &mut out);
-        let written = made.write(&mut buffered).and_then(|()| Ok(buffered.flush()?));
+        let written = content.write(&mut buffered).and_then(|()| Ok(buffered.flush()?));
         drop(buffered);
         let (bytes, hasher) = (out.bytes, out.hasher);
         let fail = |path, source| OutputError::File { path, source };
@@ -217,8 +222,8 @@ mod tests {
     use super::*;
     use crate::export::{Format, Mesh};
 
-    fn made() -> MadeFile {
-        MadeFile::of_mesh(Mesh::default(), Format::Glb)
+    fn content() -> FileContent {
+        FileContent::of_mesh(Mesh::default(), Format::Glb)
     }
 
     #[test]
@@ -244,12 +249,12 @@ mod tests {
 
         let stopped = CancellationToken::new();
         stopped.cancel();
-        assert!(Output::create(&path).unwrap().write(&made(), &stopped).is_err());
+        assert!(Output::create(&path).unwrap().write(&content(), &stopped).is_err());
         assert_eq!(files(), 0);
 
         let output = Output::create(&path).unwrap().with_checksum();
         assert_eq!(files(), 1);
-        let written = output.write(&made(), &CancellationToken::new()).unwrap();
+        let written = output.write(&content(), &CancellationToken::new()).unwrap();
         assert_eq!(files(), 1);
         let bytes = std::fs::read(&path).unwrap();
         assert_eq!(&bytes[..4], b"glTF");

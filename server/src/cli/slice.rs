@@ -11,7 +11,7 @@ use isopeel_volumes::{Dataset, Field, Frame, ReadError, UnknownStep, VolumeStep,
 use crate::cli::device::DeviceArgs;
 use crate::cli::output::{Output, OutputError};
 use crate::cli::stdin::InputPath;
-use crate::export::slice::{Axis, BadSlice, Plane, SliceFormat, SliceOptions, shown_slice};
+use crate::export::slice::{Axis, BadSlice, Plane, SliceFormat, SliceOptions, load_slice};
 use crate::pool::{self, Panicked};
 use crate::service::DeviceWorker;
 
@@ -22,11 +22,11 @@ pub struct Args {
     #[arg(value_name = "PATH")]
     path: PathBuf,
 
-    /// Axis across the plane
+    /// Axis that is perpendicular to the plane
     #[arg(long, value_enum, value_name = "AXIS")]
     axis: Axis,
 
-    /// Which plane along the axis, counted from 0
+    /// Index of the plane along the axis, counted from 0
     #[arg(long, value_name = "N")]
     index: u32,
 
@@ -42,7 +42,7 @@ pub struct Args {
     #[arg(long, value_name = "V,…", value_delimiter = ',', allow_negative_numbers = true)]
     iso: Vec<f32>,
 
-    /// How many of the field's units there are between black and white in a PNG [default: the field's range]
+    /// Width of the range of values between black and white in a PNG, in the field's unit [default: the field's range]
     #[arg(long, value_name = "W")]
     window: Option<f32>,
 
@@ -137,7 +137,7 @@ pub fn run(args: &Args) -> Result<(), SliceError> {
     let file = runtime.block_on(async {
         let worker = DeviceWorker::start_with(args.device.options(types, |text| tracing::info!("{text}")))?;
         worker.ready().await?;
-        let (slice, range) = shown_slice(&worker, &volume, &plane, &options).await?;
+        let (slice, range) = load_slice(&worker, &volume, &plane, &options).await?;
         Ok::<_, SliceError>(pool::run(move || plane.file(slice, &options, range)).await??)
     })?;
     Ok(output.write_bytes(&file)?)

@@ -23,7 +23,7 @@ use crate::pool::{self, Panicked};
 use crate::service::DeviceWorker;
 
 /// Content of a file that is complete, but not written yet.
-pub struct MadeFile {
+pub struct FileContent {
     content: Content,
     stem: String,
     /// Statistics of the surface, or of all surfaces together.
@@ -74,7 +74,7 @@ pub async fn make(
     others: &OtherVolumes,
     request: &FileRequest,
     token: &CancellationToken,
-) -> Result<MadeFile, MakeError> {
+) -> Result<FileContent, MakeError> {
     let device = worker.ready().await?;
     let mut surfaces = Vec::new();
     for surface in request.surfaces(volume, others)? {
@@ -88,7 +88,7 @@ pub async fn make(
         }
         surfaces.push(MadeSurface::of(worker, extraction, surface, &device.name, token).await?);
     }
-    Ok(MadeFile::new(volume, request, surfaces))
+    Ok(FileContent::new(volume, request, surfaces))
 }
 
 /// Returns two units: of the volume's coordinates, and of the positions in the file. Each is `None` if it is not known.
@@ -389,7 +389,7 @@ impl MadeSurface {
     }
 }
 
-impl MadeFile {
+impl FileContent {
     /// Makes the file of one or more surfaces.
     pub fn new(volume: &VolumeStep, request: &FileRequest, surfaces: Vec<MadeSurface>) -> Self {
         let id = &volume.dataset().id;
@@ -444,7 +444,7 @@ impl MadeFile {
         self.content.format
     }
 
-    /// Returns length and hash of the bytes that [`MadeFile::write`] produces.
+    /// Returns length and hash of the bytes that [`FileContent::write`] produces.
     ///
     /// # Errors
     /// As [`Content::digest`].

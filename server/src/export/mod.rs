@@ -1,7 +1,7 @@
 //! Requests for surfaces and slices as files, and the files that answer them.
 //!
-//! [`FileRequest`] is a request for surfaces, and [`MadeFile`] the resulting file. The crate `isopeel-mesh` converts surfaces to meshes and
-//! writes the file formats.
+//! [`FileRequest`] is a request for surfaces, and [`FileContent`] the resulting file. The crate `isopeel-mesh` converts surfaces to meshes
+//! and writes the file formats.
 
 use isopeel_extraction::ExtractionStatistics;
 use isopeel_view::Edit;
@@ -23,7 +23,7 @@ mod surfaces;
 pub(crate) use empty::why_empty;
 pub use isopeel_mesh::{Compress, Content, ExportError, FileDigest, Format, Mesh};
 pub(crate) use made::safe_name;
-pub use made::{MadeFile, MadeSurface, MakeError, make};
+pub use made::{FileContent, MadeSurface, MakeError, make};
 pub use request::{FileOptions, FileRequest};
 pub(crate) use schema::merged_schema;
 pub use surface_options::{SurfaceLook, SurfaceOptions};

@@ -37,7 +37,7 @@ pub struct FileOptions {
     /// Whether a surface without triangles is written too. Without it such a surface is refused (`empty-surface`).
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub allow_empty: bool,
-    /// Which side is the outside.
+    /// Side of the surface that is its outside.
     #[serde(default, skip_serializing_if = "Outward::is_auto")]
     pub outward: Outward,
     /// Unit of positions in a PLY, VTP, OBJ or USDZ, and what those of a volume are in that declares none: `mm`, `um`, `m` and so on. A GLB is always

@@ -27,7 +27,7 @@ pub const MAX_ISOVALUES: usize = 64;
 /// Colours of contours, in the order of isovalues: the dark colours of Tango.
 const COLORS: [&str; 6] = ["#a40000", "#204a87", "#4e9a06", "#ce5c00", "#5c3566", "#8f5902"];
 
-/// The axis across a plane.
+/// Axis that is perpendicular to a plane.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, ToSchema, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum Axis {
@@ -136,7 +136,7 @@ pub struct BadSlice(String);
 pub struct Plane {
     /// Field whose samples are shown.
     pub field: Field,
-    /// The axis across the plane.
+    /// Axis that is perpendicular to the plane.
     pub axis: Axis,
     /// Index of the plane along `axis`.
     pub index: u32,
@@ -395,7 +395,7 @@ pub fn isovalues(list: &str) -> Result<Vec<f32>, BadSlice> {
 ///
 /// # Errors
 /// Errors of the device, or of reading the volume.
-pub async fn shown_slice(
+pub async fn load_slice(
     worker: &DeviceWorker,
     volume: &VolumeStep,
     plane: &Plane,

@@ -12,7 +12,7 @@ use tokio_util::sync::CancellationToken;
 use super::results::ResultFile;
 use super::state::Cause;
 use super::store::work::Work;
-use crate::export::{self, ExportError, MadeFile, MakeError, OtherVolumes};
+use crate::export::{self, ExportError, FileContent, MakeError, OtherVolumes};
 use crate::service::DeviceWorker;
 
 /// Makes the files of extractions. A trait, so that tests of the runner need no device.
@@ -153,9 +153,9 @@ pub(crate) fn failure(error: MakeError) -> MakeFailure {
     }
 }
 
-impl ResultFile for MadeFile {
+impl ResultFile for FileContent {
     fn write(&self, mut out: &mut dyn Write) -> Result<(), ExportError> {
-        MadeFile::write(self, &mut out)
+        FileContent::write(self, &mut out)
     }
 
     fn triangles(&self) -> u64 {

@@ -127,7 +127,7 @@ impl<M: Maker> Runner<M> {
 
     /// Makes one extraction. Returns false if none is waiting.
     async fn run_next(&self) -> Result<bool, Fault> {
-        let Some((work, token)) = self.begin().await? else {
+        let Some((work, token)) = self.begin_attempt().await? else {
             // Ends a pause too: no extraction is waiting, so the user has cancelled the job that was paused.
             self.signals.set_paused(None);
             return Ok(false);
@@ -150,9 +150,9 @@ impl<M: Maker> Runner<M> {
 
     /// Begins an attempt at the next extraction. Returns the extraction, and the token that cancels the attempt; `None` if no extraction is
     /// waiting.
-    async fn begin(&self) -> Result<Option<(Work, CancellationToken)>, Fault> {
+    async fn begin_attempt(&self) -> Result<Option<(Work, CancellationToken)>, Fault> {
         let mut current = self.signals.current.lock().await;
-        let next = self.store.begin().await.map_err(|error| Fault::from(&error))?;
+        let next = self.store.begin_attempt().await.map_err(|error| Fault::from(&error))?;
         self.signals.changes.send_replace(());
         Ok(next.map(|work| {
             let token = self.stop.child_token();

@@ -6,13 +6,13 @@ use utoipa::ToSchema;
 
 use crate::export::FileRequest;
 
-/// What `POST jobs` asks for: surfaces of one volume, each a file.
+/// Request to create a batch job: surfaces of one volume, each in a file of its own.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct JobRequest {
     /// Id of the volume, as `GET /api/v1/volumes` lists it.
     pub volume: String,
-    /// 1 to 10,000 files.
+    /// The files to make, 1 to 10,000.
     #[schema(min_items = 1, max_items = 10_000)]
     pub extractions: Vec<FileRequest>,
 }
@@ -58,9 +58,9 @@ impl JobState {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 #[cfg_attr(test, derive(ts_rs::TS))]
 pub struct Estimate {
-    /// Triangles at most: of the full surfaces, or of budgets that are below.
+    /// Maximum triangles: those of the full surfaces, or the budgets if these are lower.
     pub triangles: u64,
-    /// Bytes of the results at most.
+    /// Maximum bytes of the results.
     pub bytes: u64,
     /// Seconds on an idle device.
     pub seconds: f64,
@@ -70,13 +70,13 @@ pub struct Estimate {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[cfg_attr(test, derive(ts_rs::TS))]
 pub struct Progress {
-    /// All.
+    /// Total number of extractions.
     pub total: u64,
-    /// With a result.
+    /// Number of extractions with a result.
     pub done: u64,
-    /// Without a result, after three attempts, or after the first if others would not help.
+    /// Number of extractions without a result after three attempts, or after the first one if a retry would not help.
     pub failed: u64,
-    /// Without one, because the surface has no triangles.
+    /// Number of extractions without a result because the surface has no triangles.
     #[serde(default)]
     pub empty: u64,
 }
@@ -92,9 +92,9 @@ impl Progress {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[cfg_attr(test, derive(ts_rs::TS))]
 pub struct Cause {
-    /// For programs: a code of the problem documents, `input-changed`, `attempts-exhausted` or `over-quota`.
+    /// Stable code for programs: a code of the problem documents, `input-changed`, `attempts-exhausted` or `over-quota`.
     pub code: String,
-    /// For people.
+    /// Explanation for users.
     pub detail: String,
 }
 
@@ -102,9 +102,9 @@ pub struct Cause {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[cfg_attr(test, derive(ts_rs::TS))]
 pub struct Failure {
-    /// Which, from 0.
+    /// Number of the extraction, from 0.
     pub extraction: u32,
-    /// Why.
+    /// Why the extraction failed.
     #[serde(flatten)]
     pub cause: Cause,
 }
@@ -114,41 +114,41 @@ pub struct Failure {
 #[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(rename_all = "camelCase")]
 pub struct JobInfo {
-    /// Its id.
+    /// Id of the job.
     pub id: String,
-    /// Id of its volume.
+    /// Id of the job's volume.
     pub volume: String,
-    /// Its state.
+    /// State of the job.
     pub state: JobState,
-    /// Why it is paused at the moment, if it is: `disk-full` or `storage`. It goes on by itself.
+    /// Why the job is paused: `disk-full` or `storage`. Absent if it is not paused. The job resumes by itself.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[cfg_attr(test, ts(optional))]
     pub paused: Option<String>,
-    /// Its extractions.
+    /// Numbers of the job's extractions.
     pub extractions: Progress,
-    /// Bytes of its results.
+    /// Total bytes of the results.
     pub bytes: u64,
-    /// What it is expected to cost.
+    /// Expected cost of the job.
     pub estimate: Estimate,
-    /// Seconds until it is done, once it runs, as far as known.
+    /// Estimated seconds until the job is done, if it runs and the time can be estimated.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[cfg_attr(test, ts(optional))]
     pub eta_seconds: Option<f64>,
-    /// When it was submitted, in seconds since 1970.
+    /// When the job was submitted, in seconds since 1970.
     pub submitted: f64,
-    /// When its first extraction began.
+    /// When the job's first extraction began, in seconds since 1970.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[cfg_attr(test, ts(optional))]
     pub started: Option<f64>,
-    /// When it was done, failed or cancelled.
+    /// When the job was done, failed or cancelled, in seconds since 1970.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[cfg_attr(test, ts(optional))]
     pub finished: Option<f64>,
-    /// Why it failed.
+    /// Why the job failed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[cfg_attr(test, ts(optional))]
     pub error: Option<Cause>,
-    /// Of one job that was asked for: the first hundred extractions that failed.
+    /// The first hundred extractions that failed. Only in the description of a single job.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     #[cfg_attr(test, ts(as = "Option<Vec<Failure>>", optional))]
     pub failures: Vec<Failure>,
@@ -172,11 +172,11 @@ pub enum ExtractionState {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "camelCase")]
 pub struct ManifestEntry {
-    /// Which, from 0.
+    /// Number of the extraction, from 0.
     pub extraction: u32,
-    /// Its state.
+    /// State of the extraction.
     pub state: ExtractionState,
-    /// Name of its file, if `isopeel batch` or `isopeel jobs fetch` writes one.
+    /// Name of the result's file, if `isopeel batch` or `isopeel jobs fetch` writes one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub file: Option<String>,
     /// Triangles of the file.
@@ -191,7 +191,7 @@ pub struct ManifestEntry {
     /// SHA-256 of the file, hexadecimal.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sha256: Option<String>,
-    /// Seconds that it took to make.
+    /// Seconds that the extraction took.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub seconds: Option<f64>,
     /// What the file's format could not keep.
@@ -231,14 +231,14 @@ pub struct JobEvent {
     /// Increases from event to event of a server. Pauses and their ends have none: a disk that takes no results takes no notes either.
     #[serde(skip)]
     pub id: Option<i64>,
-    /// The job's state since then.
+    /// State of the job after the event.
     pub state: JobState,
-    /// Its extractions since then.
+    /// Numbers of the job's extractions after the event.
     pub extractions: Progress,
-    /// The extraction that has ended.
+    /// Number of the extraction that has ended, from 0.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub extraction: Option<u32>,
-    /// Why the job has been paused since then, if it is: `disk-full` or `storage`. It goes on by itself.
+    /// Why the job is paused after the event: `disk-full` or `storage`. Absent if it is not paused. The job resumes by itself.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub paused: Option<String>,
 }

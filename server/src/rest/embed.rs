@@ -12,11 +12,11 @@ use super::ApiState;
 use crate::access::{DEFAULT_LENT_SECONDS, DelegateError, Identity, Role};
 use crate::problem::{ApiError, Problem};
 
-/// Pages that may have the viewer in a frame.
+/// Pages that may embed the viewer in a frame.
 #[derive(Serialize, ToSchema)]
 #[cfg_attr(test, derive(ts_rs::TS))]
 pub struct EmbedInfo {
-    /// Origins of pages that may, beside those of the server itself; they alone may hand a token to it.
+    /// Origins of these pages, in addition to the server's own. Only they may pass a token to the viewer.
     origins: Vec<String>,
 }
 
@@ -24,11 +24,11 @@ pub struct EmbedInfo {
 #[derive(Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct EmbedTokenRequest {
-    /// `view`, or `edit` too.
+    /// Roles of the token: `view`, `edit` or both.
     #[serde(default = "default_roles")]
     #[schema(default = json!(["view"]), min_items = 1)]
     roles: Vec<Role>,
-    /// 10 to 3600.
+    /// Seconds until the token expires, 10 to 3600.
     #[serde(default = "default_seconds")]
     #[schema(default = 600, minimum = 10, maximum = 3600)]
     seconds: u64,
@@ -46,11 +46,11 @@ fn default_seconds() -> u64 {
 #[derive(Serialize, ToSchema)]
 #[serde(rename_all = "camelCase")]
 pub struct EmbedTokenInfo {
-    /// For the frame, by `postMessage`, or for `Authorization: Bearer`.
+    /// The token. The page passes it to the frame by `postMessage`; other clients send it as `Authorization: Bearer`.
     token: String,
-    /// Its roles.
+    /// Roles of the token.
     roles: Vec<Role>,
-    /// Seconds until it expires.
+    /// Seconds until the token expires.
     expires_seconds: u64,
 }
 
@@ -78,9 +78,9 @@ pub async fn show(State(state): State<ApiState>) -> Json<EmbedInfo> {
     request_body = EmbedTokenRequest,
     responses(
         (status = 201, description = "The token", body = EmbedTokenInfo),
-        (status = 400, description = "`bad-json`; `bad-embed-token`: roles or seconds that cannot be", body = Problem, content_type = "application/problem+json"),
-        (status = 401, description = "`unauthorized`: no token, or another one", body = Problem, content_type = "application/problem+json"),
-        (status = 403, description = "`forbidden`: the token is not for that, or is such a one itself; `foreign-origin`", body = Problem, content_type = "application/problem+json"),
+        (status = 400, description = "`bad-json`; `bad-embed-token`: invalid roles or seconds", body = Problem, content_type = "application/problem+json"),
+        (status = 401, description = "`unauthorized`: no token, or one that is not valid", body = Problem, content_type = "application/problem+json"),
+        (status = 403, description = "`forbidden`: the token lacks a role, or is a delegated one itself; `foreign-origin`", body = Problem, content_type = "application/problem+json"),
         (status = 409, description = "`no-auth`: the server runs without authentication", body = Problem, content_type = "application/problem+json"),
         (status = 415, description = "`unsupported-media-type`: not application/json", body = Problem, content_type = "application/problem+json"),
         (status = 429, description = "`too-many-embed-tokens`: the maximum of delegated tokens is valid", body = Problem, content_type = "application/problem+json"),

@@ -12,15 +12,15 @@ use crate::problem::ApiError;
 #[derive(Clone, Copy, Debug)]
 pub(super) struct QueueLimits {
     /// Maximum number of running exports.
-    pub running: usize,
-    /// Maximum number of running exports of one user. Lower than `running`, so that long exports of one user do not block others.
-    pub running_of_user: usize,
+    pub max_running: usize,
+    /// Maximum number of running exports of one user. Lower than `max_running`, so that long exports of one user do not block others.
+    pub max_running_of_user: usize,
     /// Maximum number of waiting exports.
-    pub waiting: usize,
+    pub max_waiting: usize,
     /// Maximum number of waiting exports of one user.
-    pub waiting_of_user: usize,
+    pub max_waiting_of_user: usize,
     /// Maximum waiting time of an export.
-    pub wait: Duration,
+    pub max_wait: Duration,
 }
 
 /// A queue of exports. Clones share it.
@@ -35,8 +35,8 @@ struct Shared {
 
 #[derive(Debug, Default)]
 struct State {
-    /// Number of running exports, by user.
-    running: HashMap<Arc<str>, usize>,
+    /// Number of running exports of each user.
+    running_by_user: HashMap<Arc<str>, usize>,
     /// Waiting exports, in the order in which they arrived.
     waiting: Vec<Waiter>,
 }
@@ -62,8 +62,8 @@ impl ExportQueue {
     }
 
     /// Returns the number of running exports.
-    pub(super) fn running(&self) -> usize {
-        self.state().running.values().sum()
+    pub(super) fn running_count(&self) -> usize {
+        self.state().running_by_user.values().sum()
     }
 
     /// Waits until an export of a user may run.
@@ -77,13 +77,13 @@ impl ExportQueue {
             Entry::Queued(admitted) => admitted,
         };
         // If the client disconnects, this future is dropped with its receiver. The queue then skips the waiter.
-        match tokio::time::timeout(limits.wait, admitted).await {
+        match tokio::time::timeout(limits.max_wait, admitted).await {
             Ok(Ok(permit)) => Ok(permit),
             _ => Err(ApiError::busy(format!(
                 "up to {} exports are made at a time, up to {} of one user, and none ended within {} s: try again in a few seconds",
-                limits.running,
-                limits.running_of_user,
-                limits.wait.as_secs()
+                limits.max_running,
+                limits.max_running_of_user,
+                limits.max_wait.as_secs()
             ))),
         }
     }
@@ -95,19 +95,19 @@ impl ExportQueue {
         // Removes waiters whose clients have disconnected.
         state.waiting.retain(|waiter| !waiter.admit.is_closed());
         if state.has_capacity(&limits) && state.may_run(&user, &limits) && state.next_index(&limits).is_none() {
-            *state.running.entry(Arc::clone(&user)).or_default() += 1;
+            *state.running_by_user.entry(Arc::clone(&user)).or_default() += 1;
             let queue = self.clone();
             return Ok(Entry::Admitted(ExportPermit { queue, user }));
         }
         let of_user = state.waiting.iter().filter(|waiter| waiter.user == user).count();
-        if state.waiting.len() >= limits.waiting || of_user >= limits.waiting_of_user {
+        if state.waiting.len() >= limits.max_waiting || of_user >= limits.max_waiting_of_user {
             return Err(ApiError::busy(format!(
                 "{} exports are under way and {} wait, {of_user} of them yours, expected up to {} that wait and up to {} of a user: try again \
                  in a few seconds",
-                limits.running,
+                limits.max_running,
                 state.waiting.len(),
-                limits.waiting,
-                limits.waiting_of_user
+                limits.max_waiting,
+                limits.max_waiting_of_user
             )));
         }
         let (admit, admitted) = oneshot::channel();
@@ -122,7 +122,7 @@ impl ExportQueue {
             state.end_running(user);
             let next = state.next(&self.0.limits);
             if let Some(waiter) = &next {
-                *state.running.entry(Arc::clone(&waiter.user)).or_default() += 1;
+                *state.running_by_user.entry(Arc::clone(&waiter.user)).or_default() += 1;
             }
             next
         };
@@ -148,15 +148,15 @@ enum Entry {
 impl State {
     /// Whether fewer than the maximum number of exports are running.
     fn has_capacity(&self, limits: &QueueLimits) -> bool {
-        self.running.values().sum::<usize>() < limits.running
+        self.running_by_user.values().sum::<usize>() < limits.max_running
     }
 
     fn running_of(&self, user: &str) -> usize {
-        self.running.get(user).copied().unwrap_or_default()
+        self.running_by_user.get(user).copied().unwrap_or_default()
     }
 
     fn may_run(&self, user: &str, limits: &QueueLimits) -> bool {
-        self.running_of(user) < limits.running_of_user
+        self.running_of(user) < limits.max_running_of_user
     }
 
     /// Returns the index of the waiter that is admitted next: the oldest one among the users with the fewest running exports. Returns
@@ -175,10 +175,10 @@ impl State {
     }
 
     fn end_running(&mut self, user: &Arc<str>) {
-        if let Some(count) = self.running.get_mut(user) {
+        if let Some(count) = self.running_by_user.get_mut(user) {
             *count -= 1;
             if *count == 0 {
-                self.running.remove(user);
+                self.running_by_user.remove(user);
             }
         }
     }
@@ -199,13 +199,13 @@ mod tests {
 
     use super::*;
 
-    fn queue(running: usize) -> ExportQueue {
+    fn queue(max_running: usize) -> ExportQueue {
         ExportQueue::new(QueueLimits {
-            running,
-            running_of_user: running,
-            waiting: 4,
-            waiting_of_user: 3,
-            wait: Duration::from_secs(600),
+            max_running,
+            max_running_of_user: max_running,
+            max_waiting: 4,
+            max_waiting_of_user: 3,
+            max_wait: Duration::from_secs(600),
         })
     }
 
@@ -243,7 +243,7 @@ mod tests {
             ["a 1", "a 2", "a 3", "b 1"],
             "nothing of either runs when one ends"
         );
-        assert_eq!(queue.running(), 0);
+        assert_eq!(queue.running_count(), 0);
     }
 
     #[tokio::test]
@@ -265,7 +265,7 @@ mod tests {
     #[tokio::test]
     async fn one_user_leaves_a_place_for_others() {
         let queue = ExportQueue::new(QueueLimits {
-            running_of_user: 2,
+            max_running_of_user: 2,
             ..queue(3).0.limits
         });
         let mut of_a = vec![queue.admit("a").await.unwrap(), queue.admit("a").await.unwrap()];
@@ -292,7 +292,7 @@ mod tests {
             panic!("the client that still waits is admitted");
         };
         drop(permit);
-        assert_eq!(queue.running(), 0);
+        assert_eq!(queue.running_count(), 0);
     }
 
     #[tokio::test(start_paused = true)]

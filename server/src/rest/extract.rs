@@ -28,7 +28,7 @@ use super::content_encoding::ContentEncoding;
 use super::export_queue::ExportPermit;
 use super::ranges::content_range;
 use crate::access::Identity;
-use crate::export::{self, FileDigest, FileRequest, MadeFile, OtherVolumes, merged_schema};
+use crate::export::{self, FileContent, FileDigest, FileRequest, OtherVolumes, merged_schema};
 use crate::pool;
 use crate::problem::{ApiError, Problem};
 use crate::service::DeviceWorker;
@@ -168,7 +168,7 @@ fn other_volumes(state: &ApiState, who: &Identity, file: &FileRequest) -> Result
 
 /// An export that is complete, but not sent yet.
 struct Made {
-    file: MadeFile,
+    file: FileContent,
     digest: FileDigest,
     permit: ExportPermit,
     spool: SpoolFolder,
@@ -207,7 +207,7 @@ impl Made {
         request: FileRequest,
         token: CancellationToken,
         permit: ExportPermit,
-    ) -> Result<(MadeFile, FileDigest, ExportPermit), ApiError> {
+    ) -> Result<(FileContent, FileDigest, ExportPermit), ApiError> {
         let file = export::make(&worker, &source.volume, &source.others, &request, &token).await?;
         let digested = pool::run_export(move || {
             let digest = file.digest(&|| token.is_cancelled())?;

@@ -19,21 +19,20 @@ const ANSWER_LIMIT: Duration = Duration::from_secs(5);
     get,
     path = "/healthz",
     tag = "health",
-    responses((status = 200, description = "The server lives", body = String, content_type = "text/plain")),
+    responses((status = 200, description = "The server is running", body = String, content_type = "text/plain")),
 )]
 pub async fn healthz() -> &'static str {
     "ok\n"
 }
 
-/// Whether new requests are welcome: the device is open and does what it is asked for, it is given a byte to read and has five seconds, and the server is
-/// not about to end.
+/// Whether the server accepts new requests: the device is open and reads a byte within five seconds, and the server is not shutting down.
 #[utoipa::path(
     get,
     path = "/readyz",
     tag = "health",
     responses(
         (status = 200, description = "The device is ready", body = String, content_type = "text/plain"),
-        (status = 503, description = "The device is being opened, could not be, or does not answer; or the server is about to end", body = Problem, content_type = "application/problem+json"),
+        (status = 503, description = "The device is being opened, could not be opened, or does not answer; or the server is shutting down", body = Problem, content_type = "application/problem+json"),
     ),
 )]
 pub async fn readyz(State(state): State<ApiState>) -> Result<&'static str, ApiError> {
@@ -57,7 +56,7 @@ pub async fn readyz(State(state): State<ApiState>) -> Result<&'static str, ApiEr
     }
 }
 
-/// What the server's memory is used for.
+/// Use of the server's memory.
 #[utoipa::path(
     get,
     path = "/api/v1/memory",

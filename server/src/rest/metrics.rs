@@ -28,7 +28,7 @@ const CONTENT_TYPE: &str = "text/plain; version=0.0.4; charset=utf-8";
 pub async fn show(State(state): State<ApiState>) -> Result<Response, ApiError> {
     let worker = state.worker;
     metrics::set_queued_jobs(worker.queued());
-    metrics::set_running_exports(state.exports.running());
+    metrics::set_running_exports(state.exports.running_count());
     // A device that is not open has no memory to report.
     if let Some(used) = worker.memory_now() {
         report_memory(&used);

@@ -72,11 +72,11 @@ const BODY_PAUSE: Duration = Duration::from_secs(10);
 /// Limits of exports. A running export holds a mesh in memory until its bytes are sent or spooled: some 100 MB for a million triangles,
 /// together with the regions of the surface. A waiting export holds a connection.
 const EXPORTS: QueueLimits = QueueLimits {
-    running: 4,
-    running_of_user: 3,
-    waiting: 32,
-    waiting_of_user: 8,
-    wait: Duration::from_secs(60),
+    max_running: 4,
+    max_running_of_user: 3,
+    max_waiting: 32,
+    max_waiting_of_user: 8,
+    max_wait: Duration::from_secs(60),
 };
 
 /// Limits of concurrent slices. Each takes some megabytes for a plane of samples. A viewer drags up to three planes at the same time.

@@ -10,19 +10,19 @@ use utoipa::{IntoParams, ToSchema};
 use super::ApiState;
 use crate::problem::{ApiError, Problem, ProblemCode};
 
-/// How people are let in without a token.
+/// How users can sign in without a token.
 #[derive(Serialize, ToSchema)]
 #[serde(rename_all = "camelCase")]
 pub struct SignInWays {
-    /// By an issuer, if there is one.
+    /// Sign-in through an issuer; null if the server has no issuer.
     #[schema(required)]
     sign_in: Option<SignIn>,
 }
 
-/// Where users sign in.
+/// The issuer through which users sign in.
 #[derive(Serialize, ToSchema)]
 pub struct SignIn {
-    /// The issuer.
+    /// Address of the issuer.
     issuer: String,
     /// Address to which a browser is sent to sign in, relative to the server's address.
     login: &'static str,
@@ -32,21 +32,21 @@ pub struct SignIn {
 #[derive(Deserialize, IntoParams)]
 #[into_params(parameter_in = Query)]
 pub struct Callback {
-    /// For which the issuer gives the server an ID token.
+    /// Code for which the issuer gives the server an ID token.
     code: Option<String>,
-    /// Which sign-in this is.
+    /// Identifies the sign-in that the browser returns from.
     state: Option<String>,
-    /// Why there is no code.
+    /// Error code of the issuer, if there is no `code`.
     error: Option<String>,
 }
 
-/// The issuer by which people sign in, if there is one.
+/// The issuer through which users sign in, if there is one.
 #[utoipa::path(
     get,
     path = "/api/v1/oidc",
     operation_id = "show_oidc",
     tag = "session",
-    responses((status = 200, description = "It, or null", body = SignInWays)),
+    responses((status = 200, description = "The issuer, or null", body = SignInWays)),
 )]
 pub async fn show(State(state): State<ApiState>) -> Json<SignInWays> {
     let sign_in = state.access.oidc().map(|oidc| SignIn {
@@ -63,12 +63,12 @@ pub async fn show(State(state): State<ApiState>) -> Json<SignInWays> {
     operation_id = "sign_in",
     tag = "session",
     responses(
-        (status = 303, description = "To the issuer", headers(
-            ("location" = String, description = "An address of the issuer"),
-            ("set-cookie" = String, description = "What the browser brings back"),
+        (status = 303, description = "Redirect to the issuer", headers(
+            ("location" = String, description = "Address of the issuer"),
+            ("set-cookie" = String, description = "Cookie of the sign-in, which the browser sends when it returns"),
         )),
-        (status = 404, description = "`not-found`: there is none", body = Problem, content_type = "application/problem+json"),
-        (status = 502, description = "`issuer`: it cannot be asked", body = Problem, content_type = "application/problem+json"),
+        (status = 404, description = "`not-found`: the server has no issuer", body = Problem, content_type = "application/problem+json"),
+        (status = 502, description = "`issuer`: the request to the issuer failed", body = Problem, content_type = "application/problem+json"),
     ),
 )]
 pub async fn login(State(state): State<ApiState>) -> Result<Response, ApiError> {
@@ -84,10 +84,10 @@ pub async fn login(State(state): State<ApiState>) -> Result<Response, ApiError> 
     tag = "session",
     params(Callback),
     responses(
-        (status = 303, description = "Home: with a cookie, or with `#sign-in-failed=` and why", headers(
+        (status = 303, description = "Redirect to the viewer: with a cookie, or with the reason of the failure in `#sign-in-failed=`", headers(
             ("location" = String, description = "The viewer's address"),
         )),
-        (status = 404, description = "`not-found`: there is no issuer", body = Problem, content_type = "application/problem+json"),
+        (status = 404, description = "`not-found`: the server has no issuer", body = Problem, content_type = "application/problem+json"),
     ),
 )]
 pub async fn callback(
@@ -129,14 +129,14 @@ pub async fn callback(
     }
 }
 
-/// Signs out. The answer has the address at which to sign out at the issuer too, if there is one.
+/// Signs the user out. The response has the address at which to sign out at the issuer too, if there is one.
 #[utoipa::path(
     delete,
     path = "/api/v1/session",
     operation_id = "sign_out",
     tag = "session",
     responses(
-        (status = 200, description = "The cookie is of no use any more, and streams that it has opened are closed", body = SignedOut),
+        (status = 200, description = "The cookie is no longer valid, and the streams that it has opened are closed", body = SignedOut),
         (status = 401, description = "`unauthorized`", body = Problem, content_type = "application/problem+json"),
     ),
 )]
@@ -147,7 +147,7 @@ pub async fn sign_out(State(state): State<ApiState>, headers: HeaderMap) -> Resu
     Ok(response)
 }
 
-/// The answer to signing out.
+/// The response to a sign-out.
 #[derive(Serialize, ToSchema)]
 #[serde(rename_all = "camelCase")]
 pub struct SignedOut {
@@ -160,7 +160,7 @@ fn no_issuer() -> ApiError {
     ApiError::new(
         StatusCode::NOT_FOUND,
         "not-found",
-        "people do not sign in by an issuer here, expected a token",
+        "this server has no issuer to sign in through: authenticate with a token",
     )
 }
 

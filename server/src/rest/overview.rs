@@ -42,7 +42,7 @@ impl From<Mode> for OverviewMode {
     }
 }
 
-/// Which overview.
+/// Query of a request for an overview.
 #[derive(Debug, Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
@@ -50,7 +50,7 @@ pub struct OverviewQuery {
     /// Time step.
     #[serde(default, deserialize_with = "whole_number")]
     step: u32,
-    /// Name of the field, or an expression over some; left out: the first.
+    /// Name of a field, or an expression over fields. Default: the first field.
     field: Option<String>,
     /// What stands for the samples of a block.
     #[serde(default)]
@@ -85,7 +85,7 @@ struct OverviewInfo<'a> {
     tag = "volumes",
     params(("id" = String, Path, description = "A volume's id, as `GET /api/v1/volumes` lists it"), OverviewQuery),
     responses(
-        (status = 200, description = "The values", body = File, content_type = "application/octet-stream",
+        (status = 200, description = "The values, one byte for each block", body = File, content_type = "application/octet-stream",
          headers(("isopeel-overview" = String, description = "Size and range, JSON in ASCII"))),
         (status = 400, description = "`bad-request`", body = Problem, content_type = "application/problem+json"),
         (status = 404, description = "`unknown-volume`, `unknown-step` or `unknown-field`", body = Problem, content_type = "application/problem+json"),
@@ -108,8 +108,8 @@ pub async fn overview(
     let field = field_of(&volume, query.field.as_deref())?;
     let worker = state.worker_for(&who);
     let admit = || {
-        let seat = state.overviews.take(Occupant::from(&who));
-        seat.map_err(|refused| ApiError::busy(refused.to_string()))
+        let permit = state.overviews.acquire(Occupant::from(&who));
+        permit.map_err(|error| ApiError::busy(error.to_string()))
     };
     let overview = worker.overview(&volume, &field.name, query.mode.into(), admit).await;
     let overview = overview.map_err(|error| state.failed_on(&who, &volume, error))?;

@@ -28,9 +28,9 @@ pub struct SessionRequest {
     tag = "session",
     request_body = SessionRequest,
     responses(
-        (status = 204, description = "The cookie, where the server asks for a token", headers(("set-cookie" = String, description = "`HttpOnly; SameSite=Lax`"))),
+        (status = 204, description = "The cookie, if the server requires authentication", headers(("set-cookie" = String, description = "`HttpOnly; SameSite=Lax`"))),
         (status = 400, description = "`bad-json`", body = Problem, content_type = "application/problem+json"),
-        (status = 401, description = "`unauthorized`: another token", body = Problem, content_type = "application/problem+json"),
+        (status = 401, description = "`unauthorized`: the token is not valid", body = Problem, content_type = "application/problem+json"),
         (status = 403, description = "`foreign-origin`: a page of another origin", body = Problem, content_type = "application/problem+json"),
         (status = 415, description = "`unsupported-media-type`: not application/json", body = Problem, content_type = "application/problem+json"),
     ),
@@ -56,25 +56,25 @@ pub async fn begin(
 #[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(rename_all = "camelCase")]
 pub struct SessionInfo {
-    /// All that it may do: `edit` has `view` beside it, and `admin` all.
+    /// Roles of the client, with those that they imply: `edit` implies `view`, and `admin` implies all.
     roles: Vec<Role>,
-    /// Seconds until its token expires; `null`: it does not expire.
+    /// Seconds until the client's token expires; `null`: it does not expire.
     expires_seconds: Option<u64>,
-    /// Whether it may have batch jobs made: the server keeps some (`--state-folder`), and the client has the role `export`.
+    /// Whether the client may submit batch jobs: the server runs them (`--state-folder`), and the client has the role `export`.
     jobs: bool,
-    /// Whether it may upload volumes: the server takes some (`--uploads`), and the client has the role `upload`.
+    /// Whether the client may upload volumes: the server accepts them (`--uploads`), and the client has the role `upload`.
     uploads: bool,
 }
 
-/// Whether the client may use the server, for what, and for how long.
+/// Whether the client may use the server, with which roles, and for how long.
 #[utoipa::path(
     get,
     path = "/api/v1/session",
     operation_id = "check_session",
     tag = "session",
     responses(
-        (status = 200, description = "It may", body = SessionInfo),
-        (status = 401, description = "`unauthorized`: no token, or another one", body = Problem, content_type = "application/problem+json"),
+        (status = 200, description = "The client may use the server", body = SessionInfo),
+        (status = 401, description = "`unauthorized`: no token, or one that is not valid", body = Problem, content_type = "application/problem+json"),
     ),
 )]
 pub async fn check(State(state): State<ApiState>, who: Identity) -> Response {

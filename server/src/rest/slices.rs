@@ -14,38 +14,38 @@ use utoipa::{IntoParams, ToSchema};
 use super::extract::File;
 use super::{ApiState, whole_number};
 use crate::access::{Identity, Occupant};
-use crate::export::slice::{Axis, BadSlice, Plane, SliceFormat, SliceOptions, isovalues, shown_slice};
+use crate::export::slice::{Axis, BadSlice, Plane, SliceFormat, SliceOptions, isovalues, load_slice};
 use crate::pool;
 use crate::problem::{ApiError, Problem};
 
 /// Header with type and positions of the samples of a slice: a [`SliceInfo`] as JSON in ASCII.
 pub const SLICE_HEADER: HeaderName = HeaderName::from_static("isopeel-slice");
 
-/// Which slice.
+/// Query of a request for a slice.
 #[derive(Debug, Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub struct SliceQuery {
-    /// Axis across the plane.
+    /// Axis that is perpendicular to the plane.
     #[param(inline)]
     axis: Axis,
-    /// Which plane along it, from 0 on.
+    /// Index of the plane along this axis, from 0.
     #[serde(deserialize_with = "whole_number")]
     index: u32,
     /// Time step.
     #[serde(default, deserialize_with = "whole_number")]
     step: u32,
-    /// Name of the field, or an expression over some; left out: the first.
+    /// Name of a field, or an expression over fields. Default: the first field.
     field: Option<String>,
-    /// Raw samples, a picture, samples with their place, or contours.
+    /// File format: raw samples, a picture, samples with their positions, or contours.
     #[serde(default)]
     #[param(inline)]
     format: SliceFormat,
-    /// Of contours: their isovalues, with commas between them; at most 64.
+    /// Isovalues of the contours, separated by commas; at most 64. Only for contours.
     iso: Option<String>,
-    /// Of a picture: how many of the field's units there are between black and white. Left out: the field's range.
+    /// Width of the range of values between black and white, in the field's unit. Only for a picture. Default: the field's range.
     window: Option<f32>,
-    /// Of a picture: the value in the middle. Left out: the middle of the field's range.
+    /// Value halfway between black and white. Only for a picture. Default: the middle of the field's range.
     level: Option<f32>,
 }
 
@@ -55,29 +55,29 @@ pub struct SliceQuery {
 pub struct SliceInfo<'a> {
     /// Name of the field.
     field: &'a str,
-    /// Axis across the plane.
+    /// Axis that is perpendicular to the plane.
     axis: Axis,
-    /// Which plane along it.
+    /// Index of the plane along this axis, from 0.
     index: u32,
-    /// Axes of the plane: along its rows, and across them.
+    /// The two axes in the plane: that of its rows, then that of its columns.
     axes: [Axis; 2],
-    /// Samples along these.
+    /// Number of samples along each of the two axes.
     dims: [u32; 2],
     /// Type of the samples.
     #[serde(rename = "type")]
     sample_type: &'static str,
-    /// Samples of this value are missing, and those that are no finite number.
+    /// Samples with this value count as missing. NaN and infinite samples always do.
     missing: Option<f32>,
     /// World position of the first sample.
     origin: [f64; 3],
-    /// From a sample to the next along each of the axes, in the world.
+    /// Vector in world coordinates from a sample to the next one along each of the two axes.
     steps: [[f64; 3]; 2],
 }
 
-/// A plane of samples across an axis, row after row, the lower of the plane's axes fastest. The header `isopeel-slice` of the answer has
-/// their type and positions. A picture has a pixel for each sample, its first row at the top; missing samples are transparent. Contours are
-/// the lines along which the surfaces of isovalues cross the plane, in an SVG or as GeoJSON, whose coordinates are those of the volume's
-/// world. Reads the volume the first time.
+/// A plane of samples perpendicular to an axis, row by row: the first of the plane's two axes, in the order x, y, z, varies fastest. The
+/// header `isopeel-slice` of the answer has the type and the positions of the samples. A picture has a pixel for each sample, its first row
+/// at the top; missing samples are transparent. Contours are the lines along which the surfaces of isovalues cross the plane, in an SVG or
+/// as GeoJSON, whose coordinates are those of the volume's world. Reads the volume the first time.
 #[utoipa::path(
     get,
     path = "/api/v1/volumes/{id}/slices",
@@ -85,13 +85,14 @@ pub struct SliceInfo<'a> {
     tag = "volumes",
     params(("id" = String, Path, description = "A volume's id, as `GET /api/v1/volumes` lists it"), SliceQuery),
     responses(
-        // One content type for all formats: of several, openapi-python-client takes the first that it knows, application/geo+json.
+        // A single content type for all formats. If several are declared, openapi-python-client uses the first that it supports
+        // (application/geo+json) for every response.
         (status = 200, description = "The samples, a PNG, NRRD, NIfTI, SVG or GeoJSON file", body = File, content_type = "application/octet-stream",
          headers(("isopeel-slice" = String, description = "Type, size and place of the samples, JSON in ASCII"))),
         (status = 400, description = "`bad-request`", body = Problem, content_type = "application/problem+json"),
         (status = 404, description = "`unknown-volume`, `unknown-step` or `unknown-field`", body = Problem, content_type = "application/problem+json"),
         (status = 413, description = "`too-large` for the host's memory", body = Problem, content_type = "application/problem+json"),
-        (status = 422, description = "`bad-slice`: no such plane, a window that shows nothing, or isovalues that are missing or of no use; or `unreadable-volume`, of an upload", body = Problem, content_type = "application/problem+json"),
+        (status = 422, description = "`bad-slice`: the plane does not exist, the window is empty, or the isovalues are missing or invalid. `unreadable-volume`: an uploaded volume cannot be read", body = Problem, content_type = "application/problem+json"),
         (status = 500, description = "`unreadable-volume` or `device`", body = Problem, content_type = "application/problem+json"),
         (status = 503, description = "`busy`, or `device`: there is none", body = Problem, content_type = "application/problem+json"),
         (status = 507, description = "`too-large` for the device", body = Problem, content_type = "application/problem+json"),
@@ -106,13 +107,13 @@ pub async fn slice(
     let (Path(id), Query(query)) = (id?, query?);
     let volume = state.volume(&who, &id, query.step)?;
     let field = field_of(&volume, query.field.as_deref())?;
-    let plane = Plane::new(&volume, field, query.axis, query.index).map_err(refused)?;
+    let plane = Plane::new(&volume, field, query.axis, query.index).map_err(bad_slice)?;
     let options = query.options()?;
-    plane.check(&options).map_err(refused)?;
-    let seat = state.slices.take(Occupant::from(&who));
-    let _seat = seat.map_err(|refused| ApiError::busy(refused.to_string()))?;
+    plane.check(&options).map_err(bad_slice)?;
+    let permit = state.slices.acquire(Occupant::from(&who));
+    let _permit = permit.map_err(|error| ApiError::busy(error.to_string()))?;
     let worker = state.worker_for(&who);
-    let (slice, range) = shown_slice(&worker, &volume, &plane, &options)
+    let (slice, range) = load_slice(&worker, &volume, &plane, &options)
         .await
         .map_err(|error| state.failed_on(&who, &volume, error))?;
     let info = ascii_header(&info(&plane, slice.sample_type))?;
@@ -122,8 +123,8 @@ pub async fn slice(
     Ok(([(header::CONTENT_TYPE, content_type), (SLICE_HEADER, info)], file).into_response())
 }
 
-#[expect(clippy::needless_pass_by_value, reason = "of `map_err`")]
-fn refused(error: BadSlice) -> ApiError {
+#[expect(clippy::needless_pass_by_value, reason = "`map_err` passes the error by value")]
+fn bad_slice(error: BadSlice) -> ApiError {
     ApiError::new(StatusCode::UNPROCESSABLE_ENTITY, "bad-slice", error.to_string())
 }
 
@@ -131,7 +132,7 @@ impl SliceQuery {
     fn options(&self) -> Result<SliceOptions, ApiError> {
         Ok(SliceOptions {
             format: self.format,
-            isovalues: isovalues(self.iso.as_deref().unwrap_or_default()).map_err(refused)?,
+            isovalues: isovalues(self.iso.as_deref().unwrap_or_default()).map_err(bad_slice)?,
             window: self.window,
             level: self.level,
         })

@@ -239,7 +239,7 @@ async fn slices_that_are_not_there_are_refused_before_any_work() {
 async fn more_slices_than_the_server_makes_are_told_to_come_back() {
     let state = state();
     let operator = Identity::without_token();
-    let _all: Vec<_> = std::iter::from_fn(|| state.slices.take((&operator).into()).ok()).collect();
+    let _all: Vec<_> = std::iter::from_fn(|| state.slices.acquire((&operator).into()).ok()).collect();
     let request = Request::get("/api/v1/volumes/ramp/slices?axis=x&index=0")
         .body(Body::empty())
         .unwrap();

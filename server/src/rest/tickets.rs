@@ -15,9 +15,9 @@ use crate::problem::{ApiError, Problem};
 #[derive(Serialize, ToSchema)]
 #[serde(rename_all = "camelCase")]
 pub struct TicketInfo {
-    /// For `/api/v1/stream?ticket=`, once.
+    /// The ticket, for a single use in `/api/v1/stream?ticket=`.
     ticket: String,
-    /// Seconds until it expires.
+    /// Seconds until the ticket expires.
     expires_seconds: u64,
 }
 

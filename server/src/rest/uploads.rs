@@ -56,8 +56,8 @@ impl ApiState {
     }
 }
 
-/// Declares files: 1 to 20,000, with their names and sizes. Nothing is stored of what is above a limit. Their bytes, one file after the other,
-/// are then sent by `PATCH`, and `POST finish` makes a volume of them, which only its owner and administrators see.
+/// Declares the names and sizes of 1 to 20,000 files. The server stores nothing if they exceed a limit. The client then sends their bytes
+/// by `PATCH`, one file after the other, and `POST finish` makes a volume of them, which only its owner and administrators see.
 #[utoipa::path(
     post,
     path = "/api/v1/uploads",
@@ -68,9 +68,9 @@ impl ApiState {
     responses(
         (
             status = 201,
-            description = "Bytes may be sent",
+            description = "The upload, which is ready to receive bytes",
             body = UploadInfo,
-            headers(("location" = String, description = "Its path")),
+            headers(("location" = String, description = "Path of the upload")),
             links(
                 ("show_upload" = (operation_id = "show_upload", parameters(("id" = "$response.body#/id")))),
                 ("show_upload_offset" = (operation_id = "show_upload_offset", parameters(("id" = "$response.body#/id")))),
@@ -79,7 +79,7 @@ impl ApiState {
                 ("remove_upload" = (operation_id = "remove_upload", parameters(("id" = "$response.body#/id")))),
             ),
         ),
-        (status = 200, description = "The upload that this key and these files made before", body = UploadInfo),
+        (status = 200, description = "The upload that an earlier request with the same key and files created", body = UploadInfo),
         (status = 400, description = "`bad-json`, or `bad-request`: a malformed key", body = Problem, content_type = "application/problem+json"),
         (status = 409, description = "`key-reused`: the key belongs to other files", body = Problem, content_type = "application/problem+json"),
         (status = 413, description = "`over-quota`, or `body-too-large`: more than 4 MiB", body = Problem, content_type = "application/problem+json"),
@@ -142,7 +142,7 @@ async fn show(
     Ok(Json(state.uploads()?.get(who.reader(), &id?.0)?))
 }
 
-/// Removes an upload, finished or not, and its volumes. Viewers that look at them get an error.
+/// Removes an upload, finished or not, and its volumes. Viewers of these volumes get an error.
 #[utoipa::path(
     delete,
     path = "/api/v1/uploads/{id}",
@@ -150,7 +150,7 @@ async fn show(
     tag = "uploads",
     params(("id" = String, Path, description = "An upload's id")),
     responses(
-        (status = 204, description = "It is gone"),
+        (status = 204, description = "The upload is removed"),
         (status = 404, description = "`unknown-upload`", body = Problem, content_type = "application/problem+json"),
         (status = 501, description = "`uploads-off`", body = Problem, content_type = "application/problem+json"),
     ),
@@ -174,13 +174,13 @@ async fn remove(
     params(("id" = String, Path, description = "An upload's id")),
     responses(
         (status = 200, description = "The offset", headers(
-            ("upload-offset" = u64, description = "Bytes that are there"),
-            ("upload-length" = u64, description = "Bytes in all"),
+            ("upload-offset" = u64, description = "Number of bytes that the server has received"),
+            ("upload-length" = u64, description = "Total bytes, as declared"),
             ("tus-resumable" = String, description = "1.0.0"),
         )),
         (status = 404, description = "`unknown-upload`"),
-        (status = 412, description = "another `Tus-Resumable` than 1.0.0"),
-        (status = 423, description = "another request is at work on it"),
+        (status = 412, description = "`Tus-Resumable` is not 1.0.0"),
+        (status = 423, description = "Another request is changing the upload"),
         (status = 501, description = "`uploads-off`"),
     ),
 )]
@@ -203,8 +203,8 @@ async fn offset(
     with_tus_headers(outcome.await)
 }
 
-/// Takes bytes that follow those that are there, as tus 1.0 has it. Of a body that ends too early what came is kept. Another `PATCH` for the same
-/// upload is ended.
+/// Appends bytes to an upload, as tus 1.0 defines it. If the body ends too early, the server keeps the bytes that it has received. Ends
+/// another `PATCH` for the same upload.
 #[utoipa::path(
     patch,
     path = "/api/v1/uploads/{id}",
@@ -212,13 +212,13 @@ async fn offset(
     tag = "uploads",
     params(
         ("id" = String, Path, description = "An upload's id"),
-        ("upload-offset" = u64, Header, description = "Bytes that are there, as `HEAD` says"),
+        ("upload-offset" = u64, Header, description = "Number of bytes that the server has received, as `HEAD` returns it"),
         ("tus-resumable" = Option<String>, Header, description = "1.0.0"),
     ),
     request_body(content = File, content_type = "application/offset+octet-stream", description = "Any number of bytes, up to those that are missing"),
     responses(
-        (status = 204, description = "All of it is there", headers(
-            ("upload-offset" = u64, description = "Bytes that are there"),
+        (status = 204, description = "All bytes of the body were received", headers(
+            ("upload-offset" = u64, description = "Number of bytes that the server has received"),
             ("tus-resumable" = String, description = "1.0.0"),
         )),
         (status = 400, description = "`bad-request`: no offset, or a body that ended too early", body = Problem, content_type = "application/problem+json"),
@@ -227,9 +227,9 @@ async fn offset(
         (status = 412, description = "`unsupported-version` of tus", body = Problem, content_type = "application/problem+json"),
         (status = 413, description = "`over-declared`: more bytes than are missing", body = Problem, content_type = "application/problem+json"),
         (status = 415, description = "`unsupported-media-type`: not application/offset+octet-stream", body = Problem, content_type = "application/problem+json"),
-        (status = 423, description = "`upload-locked`: another request is at work on it", body = Problem, content_type = "application/problem+json"),
+        (status = 423, description = "`upload-locked`: another request is changing the upload", body = Problem, content_type = "application/problem+json"),
         (status = 501, description = "`uploads-off`", body = Problem, content_type = "application/problem+json"),
-        (status = 503, description = "`busy`: as many parts as may be are being received", body = Problem, content_type = "application/problem+json"),
+        (status = 503, description = "`busy`: the maximum number of requests is sending parts", body = Problem, content_type = "application/problem+json"),
         (status = 507, description = "`disk-full`", body = Problem, content_type = "application/problem+json"),
     ),
 )]
@@ -313,8 +313,8 @@ fn with_tus_headers(outcome: Result<Response, ApiError>) -> Response {
     response
 }
 
-/// All bytes are there: reads the files as `isopeel serve` would, and offers their volumes to the user who uploaded them. Repeating the
-/// request changes nothing.
+/// Completes an upload of which all bytes were sent: reads the files as `isopeel serve` would, and offers their volumes to the user who
+/// uploaded them. Repeating the request changes nothing.
 #[utoipa::path(
     post,
     path = "/api/v1/uploads/{id}/finish",
@@ -327,7 +327,7 @@ fn with_tus_headers(outcome: Result<Response, ApiError>) -> Response {
         (status = 409, description = "`upload-incomplete`", body = Problem, content_type = "application/problem+json"),
         (status = 413, description = "`over-quota`: what is in a compressed file is more than the user may have", body = Problem, content_type = "application/problem+json"),
         (status = 422, description = "`unreadable-volume`: what is wrong with the files", body = Problem, content_type = "application/problem+json"),
-        (status = 423, description = "`upload-locked`: another request is at work on it", body = Problem, content_type = "application/problem+json"),
+        (status = 423, description = "`upload-locked`: another request is changing the upload", body = Problem, content_type = "application/problem+json"),
         (status = 501, description = "`uploads-off`", body = Problem, content_type = "application/problem+json"),
         (status = 503, description = "`busy`: another one of the user, or others, are being read", body = Problem, content_type = "application/problem+json"),
         (status = 507, description = "`disk-full`", body = Problem, content_type = "application/problem+json"),

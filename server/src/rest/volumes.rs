@@ -17,14 +17,14 @@ use crate::access::Identity;
 use crate::problem::{ApiError, Problem};
 use crate::service::{DeviceWorker, FieldInfo, VolumeInfo, describe, describe_expression};
 
-/// A volume, in short.
+/// Summary of a volume.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 #[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(rename_all = "camelCase")]
 pub struct VolumeSummary {
-    /// Stable name in URLs and messages.
+    /// Stable id in URLs and messages.
     pub id: String,
-    /// Name for people.
+    /// Title for users.
     pub title: String,
     /// Samples along x, y, z.
     pub dims: [u32; 3],
@@ -32,7 +32,7 @@ pub struct VolumeSummary {
     pub steps: u32,
     /// Names of the fields, the main one first.
     pub fields: Vec<String>,
-    /// What is to be shown beside the data, a line each, as in the volume's description.
+    /// Notices to be shown with the data, one a line, as in the volume's description.
     pub notice: Option<String>,
 }
 
@@ -62,7 +62,7 @@ pub async fn list(State(state): State<ApiState>, who: Identity) -> Json<Vec<Volu
     Json(datasets.iter().map(|d| VolumeSummary::from(&**d)).collect())
 }
 
-/// A path that was named to the server and that it cannot read.
+/// A path that the server was started with and that it cannot read.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 #[cfg_attr(test, derive(ts_rs::TS))]
 pub struct UnreadablePath {
@@ -72,7 +72,7 @@ pub struct UnreadablePath {
     pub reason: String,
 }
 
-/// The paths that were named to the server and that it cannot read.
+/// The paths that the server was started with and that it cannot read.
 #[utoipa::path(
     get,
     path = "/api/v1/unreadable",
@@ -90,12 +90,12 @@ pub async fn unreadable(State(state): State<ApiState>) -> Json<Vec<UnreadablePat
     )
 }
 
-/// Which time step.
+/// Query for a time step.
 #[derive(Debug, Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub struct StepQuery {
-    /// Time step that ranges and histograms are made of.
+    /// Time step that ranges and histograms describe.
     #[serde(default, deserialize_with = "whole_number")]
     step: u32,
 }
@@ -131,17 +131,18 @@ pub async fn show(
     Ok(Json(described.map_err(|error| state.failed_on(&who, &volume, error))?))
 }
 
-/// Which field.
+/// Query for the field of an expression.
 #[derive(Debug, Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub struct ExpressionQuery {
     /// An expression over the volume's fields, such as `log(rho)`, or a distance, such as `distance(labels==3)`.
     expression: String,
-    /// Time step that range and histogram are made of.
+    /// Time step that range and histogram describe.
     #[serde(default, deserialize_with = "whole_number")]
     step: u32,
-    /// It is being typed: a mistake is an answer, a problem document with status 200, which browsers do not log as an error.
+    /// Whether the user is typing the expression. If so, the response to a mistake is a problem document with status 200, which browsers do
+    /// not log as an error.
     #[serde(default)]
     typed: bool,
 }

@@ -450,7 +450,7 @@ mod tests {
                 job_times.complete(&mut stages);
                 assert_eq!(stages, [time("tree", 3.0), time("tree_cut", 4.0)]);
                 assert!(start.elapsed() >= Duration::from_millis(20));
-                assert!(job_times.own_time(start) < Duration::from_millis(20));
+                assert!(job_times.time_without_pauses(start) < Duration::from_millis(20));
                 log.push("checked".into());
             });
             queue(to, Length::Short, |_, _| std::thread::sleep(Duration::from_millis(20)));

@@ -21,9 +21,9 @@ use super::DeviceWorker;
 #[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(rename_all = "camelCase")]
 pub struct VolumeInfo {
-    /// Stable name in URLs and messages.
+    /// Stable id in URLs and messages.
     pub id: String,
-    /// Name for people.
+    /// Title for users.
     pub title: String,
     /// Positions of the samples.
     pub geometry: GeometryInfo,
@@ -90,7 +90,7 @@ pub struct AxisInfo {
     pub name: String,
     /// Unit of the positions, as the file says it.
     pub unit: Option<String>,
-    /// Their kind: `longitude`, `latitude`, `depth`, `height`, `pressure` or `other`.
+    /// Kind of the positions: `longitude`, `latitude`, `depth`, `height`, `pressure` or `other`.
     pub kind: &'static str,
     /// Position of each sample, if the world's coordinates count samples; null: the world's coordinate along the axis is the position.
     pub positions: Option<Vec<f64>>,
@@ -196,9 +196,9 @@ pub struct LabelInfo {
     #[cfg_attr(test, ts(optional))]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub stored: Option<String>,
-    /// Name for people.
+    /// Name for users.
     pub name: Option<String>,
-    /// `#rrggbb`.
+    /// Colour, `#rrggbb`.
     pub color: Option<String>,
 }
 

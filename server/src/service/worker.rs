@@ -388,7 +388,7 @@ impl DeviceWorker {
     /// # Errors
     /// The failure, if it has another cause.
     pub(super) async fn wait_until_proven(&self, error: JobError, token: &CancellationToken) -> Result<(), JobError> {
-        let JobError::Failed(WorkError::Device(Error::NotYet(program))) = &error else {
+        let JobError::Failed(WorkError::Device(Error::ProgramUnchecked(program))) = &error else {
             return Err(error);
         };
         let Some(proven) = self.shared.proven.get() else {

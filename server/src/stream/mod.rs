@@ -42,8 +42,8 @@ use viewers::Viewers;
 /// limit with the right close code. A message over this limit ends the connection.
 const MAX_READ_BYTES: usize = 16 * MAX_MESSAGE_BYTES;
 
-/// Size of a connection's read buffer. It is small, because edits have some hundred bytes and each read clears the buffer first. The
-/// library's default of 128 KiB is for servers that receive large messages.
+/// Size of a connection's read buffer. It is small, because edits have some hundred bytes and the library fills the buffer with zeros
+/// before each read. The library's default of 128 KiB is for servers that receive large messages.
 const READ_BUFFER_BYTES: usize = 4 << 10;
 
 /// State that the sessions of all viewers share: count of viewers, cached surfaces, and groups. Clones are cheap.
@@ -161,8 +161,8 @@ fn wrong_subprotocol(headers: &HeaderMap) -> ApiError {
     let offered = headers.get_all(header::SEC_WEBSOCKET_PROTOCOL).iter();
     let offered: Vec<_> = offered.map(|value| value.to_str().unwrap_or("?")).collect();
     let message = format!(
-        "the subprotocols offered are {:?}, expected {SUBPROTOCOL:?}, the only one of isopeel {}: use a client of the same version, or \
-         load the page again",
+        "the client offers the subprotocols {:?}, but isopeel {} supports only {SUBPROTOCOL:?}: use a client of the same version, or \
+         reload the page",
         offered.join(", "),
         env!("CARGO_PKG_VERSION")
     );

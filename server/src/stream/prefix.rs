@@ -125,7 +125,7 @@ fn differences(step: Arc<SharedStep>, held: &HeldRegions, coding: Coding) -> Cha
     let mut changed = Vec::new();
     for (index, region) in step.regions.iter().enumerate() {
         let before = held.get(&region.coords);
-        let unchanged_region = before.filter(|before| before.hash.triangles == region.hash.triangles);
+        let unchanged_region = before.filter(|before| before.hash.unordered == region.hash.unordered);
         if unchanged_region.is_none() {
             changed.push(Part::Made(index));
         }

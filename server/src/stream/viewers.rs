@@ -36,7 +36,7 @@ impl Viewers {
     /// # Errors
     /// There is no seat for this user.
     pub fn enter(&self, who: &Identity) -> Result<Seat, NoSeat> {
-        self.0.take(who.into())
+        self.0.acquire(who.into())
     }
 
     /// Returns the number of bytes of surfaces in a viewer's outbox below which the viewer's next batch is encoded. The more viewers there

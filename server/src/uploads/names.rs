@@ -19,9 +19,9 @@ const MAX_PART_BYTES: usize = 255;
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct DeclaredFile {
-    /// Its name, with the folders that it is in: `scan/0001.dcm`.
+    /// Name of the file, with the folders that it is in: `scan/0001.dcm`.
     pub name: String,
-    /// How long it is.
+    /// Size of the file in bytes.
     pub bytes: u64,
 }
 

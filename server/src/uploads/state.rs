@@ -5,7 +5,7 @@ use utoipa::ToSchema;
 
 use super::names::DeclaredFile;
 
-/// What `POST uploads` asks for.
+/// Request to create an upload.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct UploadRequest {
@@ -42,39 +42,39 @@ impl UploadState {
 #[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(rename_all = "camelCase")]
 pub struct UploadInfo {
-    /// Its name in URLs, made by the server.
+    /// Id of the upload, which the server has generated.
     pub id: String,
-    /// Name for people, of its files.
+    /// Title for users, from the names of the files.
     pub title: String,
-    /// Whose it is.
+    /// User who owns the upload.
     pub owner: String,
-    /// Its state.
+    /// State of the upload.
     pub state: UploadState,
-    /// Number of its files.
+    /// Number of files.
     pub files: usize,
-    /// Bytes in all, as they were declared.
+    /// Total bytes of the files, as declared.
     pub bytes: u64,
-    /// Bytes that are there: the offset at which to continue.
+    /// Bytes that the server has received: the offset at which to continue.
     pub received_bytes: u64,
-    /// When it was made, RFC 3339.
+    /// When the upload was created (RFC 3339).
     pub created: String,
-    /// When it is removed, unless it is used before: a part of it is sent, or a volume of it is looked at.
+    /// When the server removes the upload (RFC 3339), unless it is used before: a part of it is sent, or one of its volumes is viewed.
     pub expires: String,
-    /// Ids of its volumes, once they are there.
+    /// Ids of the upload's volumes; empty until the server has read its files.
     pub volumes: Vec<String>,
-    /// Why it could not be read as a volume, if that was tried.
+    /// Why the files could not be read as a volume, if the server has tried.
     pub error: Option<String>,
 }
 
-/// What `GET uploads` answers.
+/// The uploads of a user, and the user's quota.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
 #[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(rename_all = "camelCase")]
 pub struct UploadList {
-    /// Bytes that a user may have.
+    /// Maximum bytes of the user's uploads.
     pub quota_bytes: u64,
     /// Bytes of the user's uploads that count: as declared, or as unpacked if that is more.
     pub used_bytes: u64,
-    /// The latest first; an administrator's has those of all users.
+    /// The uploads, the latest first; for an administrator, those of all users.
     pub uploads: Vec<UploadInfo>,
 }

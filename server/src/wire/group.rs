@@ -26,9 +26,9 @@ pub enum Projection {
 #[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(rename_all = "camelCase", deny_unknown_fields)]
 pub struct Camera {
-    /// Its own position.
+    /// Position of the camera.
     pub position: [f64; 3],
-    /// What it turns around.
+    /// Position around which the camera orbits.
     pub target: [f64; 3],
     /// How it shows depth.
     pub projection: Projection,
@@ -39,11 +39,11 @@ pub struct Camera {
 #[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(rename_all = "camelCase", deny_unknown_fields)]
 pub struct Pose {
-    /// Its camera.
+    /// Camera of the page.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[cfg_attr(test, ts(optional))]
     pub camera: Option<Camera>,
-    /// Its look, as it writes that itself: the server does not read it.
+    /// State of the page in a format of its own: the server forwards it without reading it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[cfg_attr(test, ts(optional))]
     pub page: Option<String>,
@@ -73,14 +73,14 @@ impl Pose {
     }
 }
 
-/// What a leader comes back with.
+/// Credentials with which a leader resumes its group on another connection.
 #[derive(Clone, PartialEq, Eq, Deserialize)]
 #[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(rename_all = "camelCase", deny_unknown_fields)]
 pub struct Resume {
-    /// The group's id.
+    /// Id of the group.
     pub group: String,
-    /// The key that the leader's `group` had.
+    /// Key from the message `group` to the leader.
     pub key: String,
 }
 
@@ -111,22 +111,22 @@ pub fn check_name(name: &str) -> Result<(), String> {
 #[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(rename_all = "camelCase")]
 pub struct LedSurface {
-    /// Its number.
+    /// Number of the surface.
     pub surface: u8,
-    /// Every value in force.
+    /// The values of all parameters.
     pub edit: Edit,
 }
 
-/// Who follows, for the leader.
+/// A follower, as the leader sees it.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 #[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(rename_all = "camelCase")]
 pub struct Follower {
-    /// Its number in the group, 1 or more.
+    /// Number of the follower in the group, 1 or more.
     pub number: u32,
-    /// The name that it has given itself; null if it has given none.
+    /// Name that the follower has chosen; null if it has none.
     pub name: Option<String>,
-    /// Whether it asks for control.
+    /// Whether the follower asks for control.
     pub asks: bool,
 }
 

@@ -37,18 +37,19 @@ pub const MAX_MALFORMED: u32 = 16;
 pub enum ClientMessage {
     /// Open a volume.
     Open {
-        /// Its id.
+        /// Id of the volume.
         volume: String,
         /// Time step.
         #[serde(default)]
         step: u32,
-        /// Names of codings that the client can read beside that of every client; those that are unknown here count for nothing.
+        /// Names of codings that the client can decode in addition to the one that every client can. The server ignores names that it does
+        /// not know.
         #[serde(default)]
         codings: Vec<String>,
     },
     /// Go to another time step of the open volume.
     Step {
-        /// Which one.
+        /// Number of the time step.
         step: u32,
     },
     /// Change the view of a surface and extract.
@@ -57,12 +58,12 @@ pub enum ClientMessage {
     Cancel {},
     /// Remove a surface.
     Remove {
-        /// Its number.
+        /// Number of the surface.
         surface: u32,
     },
     /// The first prefix of a generation is on screen.
     Drawn {
-        /// Of which edit.
+        /// Generation whose prefix is on screen.
         generation: u32,
     },
     /// Ask what is at a position.
@@ -70,7 +71,7 @@ pub enum ClientMessage {
         /// Number of the surface.
         #[serde(default)]
         surface: u32,
-        /// In the world.
+        /// Position in world coordinates.
         position: [f64; 3],
     },
     /// Ask how values are distributed over a surface.
@@ -93,7 +94,7 @@ pub enum ClientMessage {
         /// Number of the surface.
         #[serde(default)]
         surface: u32,
-        /// Which one.
+        /// The requested annotation.
         annotation: Annotation,
     },
     /// Start a group, whose followers are shown what is shown here, or lead one again.
@@ -101,18 +102,18 @@ pub enum ClientMessage {
         /// The group that was led on another connection.
         #[serde(default)]
         resume: Option<Resume>,
-        /// As those of `open`, for connections without one.
+        /// As `codings` of `open`, for a connection that has opened no volume.
         #[serde(default)]
         codings: Vec<String>,
     },
     /// Follow a group.
     Join {
-        /// Its id.
+        /// Id of the group.
         group: String,
-        /// What to be called in it.
+        /// Name that the leader sees.
         #[serde(default)]
         name: Option<String>,
-        /// As those of `open`, for connections without one.
+        /// As `codings` of `open`, for a connection that has opened no volume.
         #[serde(default)]
         codings: Vec<String>,
     },
@@ -124,12 +125,12 @@ pub enum ClientMessage {
     Pose(Pose),
     /// Ask for control, or no longer.
     AskControl {
-        /// Whether it is asked for.
+        /// True to ask for control, false to withdraw the request.
         asks: bool,
     },
     /// Give control to a follower who has asked for it, or back to the leader.
     GiveControl {
-        /// The follower's number; 0: the leader.
+        /// Number of the follower; 0: the leader.
         to: u32,
     },
 }
@@ -209,22 +210,22 @@ impl ClientMessage {
     }
 }
 
-/// What this server does beyond what every server of this version does.
+/// Optional functions that this server supports.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(rename_all = "camelCase")]
 pub struct Capabilities {
-    /// Surfaces that a connection may have; their numbers are those below.
+    /// Maximum number of surfaces of a connection. The numbers of surfaces are lower than this.
     pub surfaces: u32,
-    /// Kinds of chunks that may come.
+    /// Kinds of chunks that the server may send.
     pub chunk_kinds: Vec<ChunkKind>,
-    /// Whether `measured` may follow `done`.
+    /// Whether the server may send `measured` after `done`.
     pub measured_error: bool,
-    /// Whether `step` is understood.
+    /// Whether the server supports `step`.
     pub steps: bool,
     /// Whether volumes and time steps may appear while the server runs.
     pub watches: bool,
-    /// Whether `lead` and `join` are understood.
+    /// Whether the server supports `lead` and `join`.
     pub groups: bool,
     /// Types of messages that ask about a surface.
     pub questions: &'static [&'static str],
@@ -256,11 +257,11 @@ impl Default for Capabilities {
 #[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(rename_all = "camelCase")]
 pub struct RegionError {
-    /// Region, in units of 32 cells.
+    /// Position of the region, in units of 32 cells.
     pub region: [u32; 3],
-    /// Root mean square.
+    /// Root mean square of the distance.
     pub rms: f32,
-    /// Maximum.
+    /// Maximum of the distance.
     pub max: f32,
 }
 
@@ -271,11 +272,11 @@ pub struct RegionError {
 pub enum ServerMessage {
     /// The volume is being read, put on the device and counted.
     Opening {
-        /// Bytes of files and samples that this has gone through so far.
+        /// Bytes of files and samples that the server has processed so far.
         bytes: u64,
-        /// Bytes that it has to go through.
+        /// Bytes that the server has to process in total.
         total_bytes: u64,
-        /// The device is being prepared, and nothing was read yet.
+        /// Progress of the device's preparation, before the server reads the volume.
         #[serde(skip_serializing_if = "Option::is_none")]
         #[cfg_attr(test, ts(optional))]
         device: Option<Preparation>,
@@ -287,18 +288,18 @@ pub enum ServerMessage {
         volume: Box<RawValue>,
         /// Time step.
         step: u32,
-        /// Every value in force.
+        /// The values of all parameters.
         edit: Edit,
         /// Name of the device.
         device: String,
-        /// What this server does.
+        /// Optional functions that this server supports.
         capabilities: Capabilities,
     },
     /// The volume is at another time step, of which surfaces follow.
     Stepped {
-        /// Which one.
+        /// Number of the time step.
         step: u32,
-        /// Its time as text for people, if the file has times.
+        /// Time of the step as text for users, if the file has times.
         label: Option<String>,
     },
     /// What the values of the time step are like.
@@ -313,17 +314,17 @@ pub enum ServerMessage {
     Prefix {
         /// Number of the surface.
         surface: u8,
-        /// Of which edit.
+        /// Generation of the surface.
         generation: u32,
         /// Level of the prefix.
         level: u8,
-        /// What its chunks are.
+        /// Kind of the chunks.
         kind: ChunkKind,
-        /// Which mesher made them.
+        /// Mesher that made the chunks.
         mesher: MesherName,
-        /// Chunks that follow.
+        /// Number of chunks that follow.
         regions: usize,
-        /// Regions that the client keeps as they are.
+        /// Number of regions that the client keeps unchanged.
         unchanged: usize,
         /// Triangles of the whole surface once this prefix is committed.
         triangles: u64,
@@ -335,7 +336,7 @@ pub enum ServerMessage {
     Committed {
         /// Number of the surface.
         surface: u8,
-        /// Of which edit.
+        /// Generation of the surface.
         generation: u32,
         /// Level of the prefix.
         level: u8,
@@ -347,9 +348,9 @@ pub enum ServerMessage {
     Done {
         /// Number of the surface.
         surface: u8,
-        /// Of which edit.
+        /// Generation of the surface.
         generation: u32,
-        /// What the edit has in the server's log: 16 hexadecimal digits.
+        /// Id of the edit in the server's log: 16 hexadecimal digits.
         trace: String,
         /// As `isopeel extract --stats` prints them.
         statistics: ExtractionStatistics,
@@ -358,11 +359,11 @@ pub enum ServerMessage {
     Measured {
         /// Number of the surface.
         surface: u8,
-        /// Of which edit.
+        /// Generation of the surface.
         generation: u32,
-        /// Of the whole surface.
+        /// Error of the whole surface.
         error: MeasuredError,
-        /// Of each region that has triangles.
+        /// Error of each region that has triangles.
         regions: Vec<RegionError>,
     },
     /// What is at a position.
@@ -379,7 +380,7 @@ pub enum ServerMessage {
     Distribution {
         /// Number of the surface.
         surface: u8,
-        /// Of which edit.
+        /// Generation of the surface.
         generation: u32,
         /// The answer.
         #[serde(flatten)]
@@ -389,7 +390,7 @@ pub enum ServerMessage {
     Curve {
         /// Number of the surface.
         surface: u8,
-        /// Of which edit.
+        /// Generation of the surface.
         generation: u32,
         /// The answer.
         #[serde(flatten)]
@@ -399,18 +400,18 @@ pub enum ServerMessage {
     Annotated {
         /// Number of the surface.
         surface: u8,
-        /// Of which edit.
+        /// Generation of the surface.
         generation: u32,
-        /// What they hold.
+        /// Annotation that the chunks hold.
         annotation: Annotation,
-        /// How many.
+        /// Number of chunks that follow.
         regions: usize,
     },
     /// The generation ended early.
     Superseded {
         /// Number of the surface.
         surface: u8,
-        /// Of which edit.
+        /// Generation of the surface.
         generation: u32,
     },
     /// The answer to `remove`: the surface is gone.
@@ -420,32 +421,32 @@ pub enum ServerMessage {
     },
     /// Who is in the group.
     Group {
-        /// Its id, which a link to it has.
+        /// Id of the group, which a link to it contains.
         group: String,
-        /// The viewer's own number in it; 0: it leads.
+        /// The viewer's own number in the group; 0: the viewer leads.
         you: u32,
-        /// Number of who has control.
+        /// Number of the member in control.
         control: u32,
-        /// How many follow.
+        /// Number of followers.
         followers: u32,
         /// Whether the viewer asks for control.
         asks: bool,
-        /// The leader's connection was lost; the group waits for it.
+        /// Whether the leader's connection is lost, so that the group waits for the leader.
         leader_away: bool,
-        /// For the leader alone: what it comes back with on another connection.
+        /// Only for the leader: the key with which it resumes the group on another connection.
         #[serde(skip_serializing_if = "Option::is_none")]
         #[cfg_attr(test, ts(optional))]
         key: Option<String>,
-        /// For the leader: some of those who follow, first those who ask for control.
+        /// Only for the leader: some of the followers, first those who ask for control.
         people: Vec<Follower>,
     },
     /// What who has control shows, which is shown to this viewer now.
     Led {
-        /// The volume.
+        /// Id of the volume.
         volume: String,
         /// Time step.
         step: u32,
-        /// The surfaces that there are, with every value in force.
+        /// The surfaces, with the values of all parameters.
         surfaces: Vec<LedSurface>,
     },
     /// How who has control looks at it.
@@ -456,12 +457,12 @@ pub enum ServerMessage {
     },
     /// A sign of life, at once and then again and again, for a client that asked for it.
     Heartbeat {
-        /// Time until the next one.
+        /// Seconds until the next heartbeat.
         seconds: f64,
     },
     /// The viewer is in no group any more.
     Left {
-        /// Why.
+        /// Why the viewer is no longer in the group.
         reason: String,
     },
     /// A message or a job failed.

@@ -16,9 +16,9 @@ const MAX_POSITIONS: usize = 64;
 #[cfg_attr(feature = "typescript", derive(ts_rs::TS), ts(rename = "ChosenParts"))]
 #[serde(rename_all = "camelCase")]
 pub enum ChosenPartsJson {
-    /// These parts are left out.
+    /// These parts are removed.
     Hide(Vec<[f64; 3]>),
-    /// All others are.
+    /// All other parts are removed.
     Keep(Vec<[f64; 3]>),
 }
 

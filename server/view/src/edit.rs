@@ -86,7 +86,7 @@ pub struct Edit {
     /// Guard: whether decimation may change the topology.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub topology: Option<TopologyName>,
-    /// Which mesher.
+    /// Mesher that turns the cut into triangles.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub mesher: Option<MesherName>,
     /// Whether surfaces that leave the volume are closed on its faces. Exports only.

@@ -15,7 +15,7 @@ use super::error::EditError;
 #[cfg_attr(feature = "typescript", derive(ts_rs::TS), ts(rename = "Interest", optional_fields))]
 #[serde(rename_all = "camelCase", deny_unknown_fields)]
 pub struct InterestJson {
-    /// The sphere, or else there is a box.
+    /// The sphere; without it, there is a box.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sphere: Option<SphereJson>,
     /// The box.
@@ -31,10 +31,10 @@ pub struct InterestJson {
 #[cfg_attr(feature = "typescript", derive(ts_rs::TS), ts(rename = "Sphere"))]
 #[serde(rename_all = "camelCase", deny_unknown_fields)]
 pub struct SphereJson {
-    /// Its centre.
+    /// Centre of the sphere.
     #[cfg_attr(feature = "openapi", schema(min_items = 3, max_items = 3))]
     pub center: [f64; 3],
-    /// Above 0.
+    /// Radius, above 0.
     pub radius: f64,
 }
 

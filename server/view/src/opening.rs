@@ -11,13 +11,13 @@ use serde::Serialize;
 pub struct OpeningIso {
     /// Isovalue, in the field's units.
     pub iso: f32,
-    /// Why it is that one, for programs.
+    /// Stable code of the reason for this isovalue.
     pub reason: IsoReason,
-    /// Why it is that one, for people.
+    /// Reason for this isovalue, as text for users.
     pub explanation: String,
 }
 
-/// What an isovalue was chosen by.
+/// Rule by which an isovalue was chosen.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[cfg_attr(feature = "typescript", derive(ts_rs::TS))]

@@ -326,7 +326,7 @@ pub struct Fitted {
     pub is_tree_cut: bool,
 }
 
-/// A guard.
+/// A guard, which limits what decimation may change.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[cfg_attr(feature = "typescript", derive(ts_rs::TS))]

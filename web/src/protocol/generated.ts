@@ -9,7 +9,7 @@ export const REGION_CELLS = 32;
 /** Maximum number of control points. */
 export const MAX_POINTS = 64;
 
-/** Of the WebSocket. */
+/** Subprotocol of the WebSocket. */
 export const SUBPROTOCOL = "isopeel.v2";
 
 /** Functions of expressions over fields. */
@@ -24,7 +24,7 @@ export type AxisInfo = {
   name: string,
   /** Unit of the positions, as the file says it. */
   unit: string | null,
-  /** Their kind: `longitude`, `latitude`, `depth`, `height`, `pressure` or `other`. */
+  /** Kind of the positions: `longitude`, `latitude`, `depth`, `height`, `pressure` or `other`. */
   kind: string,
   /** Position of each sample, if the world's coordinates count samples; null: the world's coordinate along the axis is the position. */
   positions: Array<number> | null,
@@ -42,27 +42,27 @@ export type Box = {
 
 /** Position and target of a camera, in the world. */
 export type Camera = {
-  /** Its own position. */
+  /** Position of the camera. */
   position: [number, number, number],
-  /** What it turns around. */
+  /** Position around which the camera orbits. */
   target: [number, number, number],
   /** How it shows depth. */
   projection: Projection,
 };
 
-/** What this server does beyond what every server of this version does. */
+/** Optional functions that this server supports. */
 export type Capabilities = {
-  /** Surfaces that a connection may have; their numbers are those below. */
+  /** Maximum number of surfaces of a connection. The numbers of surfaces are lower than this. */
   surfaces: number,
-  /** Kinds of chunks that may come. */
+  /** Kinds of chunks that the server may send. */
   chunkKinds: Array<ChunkKind>,
-  /** Whether `measured` may follow `done`. */
+  /** Whether the server may send `measured` after `done`. */
   measuredError: boolean,
-  /** Whether `step` is understood. */
+  /** Whether the server supports `step`. */
   steps: boolean,
   /** Whether volumes and time steps may appear while the server runs. */
   watches: boolean,
-  /** Whether `lead` and `join` are understood. */
+  /** Whether the server supports `lead` and `join`. */
   groups: boolean,
   /** Types of messages that ask about a surface. */
   questions: Array<string>,
@@ -70,9 +70,9 @@ export type Capabilities = {
 
 /** Why something has no result. */
 export type Cause = {
-  /** For programs: a code of the problem documents, `input-changed`, `attempts-exhausted` or `over-quota`. */
+  /** Stable code for programs: a code of the problem documents, `input-changed`, `attempts-exhausted` or `over-quota`. */
   code: string,
-  /** For people. */
+  /** Explanation for users. */
   detail: string,
 };
 
@@ -103,26 +103,29 @@ export type Cleaned = {
 
 /** A text frame from a client. */
 export type ClientMessage = { "type": "open",
-  /** Its id. */
+  /** Id of the volume. */
   volume: string,
   /** Time step. */
   step: number,
-  /** Names of codings that the client can read beside that of every client; those that are unknown here count for nothing. */
+  /**
+   * Names of codings that the client can decode in addition to the one that every client can. The server ignores names that it does
+   * not know.
+   */
   codings: Array<string>,
 } | { "type": "step",
-  /** Which one. */
+  /** Number of the time step. */
   step: number,
 } | { "type": "edit" } & SurfaceEdit | { "type": "cancel",
 } | { "type": "remove",
-  /** Its number. */
+  /** Number of the surface. */
   surface: number,
 } | { "type": "drawn",
-  /** Of which edit. */
+  /** Generation whose prefix is on screen. */
   generation: number,
 } | { "type": "probe",
   /** Number of the surface. */
   surface: number,
-  /** In the world. */
+  /** Position in world coordinates. */
   position: [number, number, number],
 } | { "type": "distribution",
   /** Number of the surface. */
@@ -135,27 +138,27 @@ export type ClientMessage = { "type": "open",
 } | { "type": "annotate",
   /** Number of the surface. */
   surface: number,
-  /** Which one. */
+  /** The requested annotation. */
   annotation: Annotation,
 } | { "type": "lead",
   /** The group that was led on another connection. */
   resume: Resume | null,
-  /** As those of `open`, for connections without one. */
+  /** As `codings` of `open`, for a connection that has opened no volume. */
   codings: Array<string>,
 } | { "type": "join",
-  /** Its id. */
+  /** Id of the group. */
   group: string,
-  /** What to be called in it. */
+  /** Name that the leader sees. */
   name: string | null,
-  /** As those of `open`, for connections without one. */
+  /** As `codings` of `open`, for a connection that has opened no volume. */
   codings: Array<string>,
 } | { "type": "heartbeat",
 } | { "type": "leave",
 } | { "type": "pose" } & Pose | { "type": "ask-control",
-  /** Whether it is asked for. */
+  /** True to ask for control, false to withdraw the request. */
   asks: boolean,
 } | { "type": "give-control",
-  /** The follower's number; 0: the leader. */
+  /** Number of the follower; 0: the leader. */
   to: number,
 };
 
@@ -248,7 +251,7 @@ export type Edit = {
   maxError?: MaxError,
   /** Guard: whether decimation may change the topology. */
   topology?: TopologyName,
-  /** Which mesher. */
+  /** Mesher that turns the cut into triangles. */
   mesher?: MesherName,
   /** Whether surfaces that leave the volume are closed on its faces. Exports only. */
   cap?: boolean,
@@ -260,17 +263,17 @@ export type Edit = {
   interest?: Array<Interest>,
 };
 
-/** Pages that may have the viewer in a frame. */
+/** Pages that may embed the viewer in a frame. */
 export type EmbedInfo = {
-  /** Origins of pages that may, beside those of the server itself; they alone may hand a token to it. */
+  /** Origins of these pages, in addition to the server's own. Only they may pass a token to the viewer. */
   origins: Array<string>,
 };
 
 /** What a job is expected to cost, from the full surfaces of some of its extractions. */
 export type Estimate = {
-  /** Triangles at most: of the full surfaces, or of budgets that are below. */
+  /** Maximum triangles: those of the full surfaces, or the budgets if these are lower. */
   triangles: number,
-  /** Bytes of the results at most. */
+  /** Maximum bytes of the results. */
   bytes: number,
   /** Seconds on an idle device. */
   seconds: number,
@@ -289,11 +292,11 @@ export type EstimatedError = {
 
 /** An extraction that failed. */
 export type Failure = {
-  /** Which, from 0. */
+  /** Number of the extraction, from 0. */
   extraction: number,
-  /** For programs: a code of the problem documents, `input-changed`, `attempts-exhausted` or `over-quota`. */
+  /** Stable code for programs: a code of the problem documents, `input-changed`, `attempts-exhausted` or `over-quota`. */
   code: string,
-  /** For people. */
+  /** Explanation for users. */
   detail: string,
 };
 
@@ -321,21 +324,21 @@ export type FieldInfo = {
 
 /** A field at a position. */
 export type FieldValue = {
-  /** Its name. */
+  /** Name of the field. */
   field: string,
-  /** Trilinear, in the field's units. */
+  /** Trilinearly interpolated value in the field's units; null if there is none. */
   value: number | null,
-  /** Why there is none. */
+  /** Why there is no value. */
   why?: NoValue,
 };
 
-/** Who follows, for the leader. */
+/** A follower, as the leader sees it. */
 export type Follower = {
-  /** Its number in the group, 1 or more. */
+  /** Number of the follower in the group, 1 or more. */
   number: number,
-  /** The name that it has given itself; null if it has given none. */
+  /** Name that the follower has chosen; null if it has none. */
   name: string | null,
-  /** Whether it asks for control. */
+  /** Whether the follower asks for control. */
   asks: boolean,
 };
 
@@ -367,7 +370,7 @@ export type Geometry = {
   unit: string | null,
 };
 
-/** A guard. */
+/** A guard, which limits what decimation may change. */
 export type GuardName = "max-error" | "topology";
 
 /** How often values occur, in equal bins. */
@@ -382,7 +385,7 @@ export type Histogram = {
 
 /** A region of interest, in world coordinates: a sphere or a box. Importance inside is at least its own. */
 export type Interest = {
-  /** The sphere, or else there is a box. */
+  /** The sphere; without it, there is a box. */
   sphere?: Sphere,
   /** The box. */
   box?: Box,
@@ -390,36 +393,36 @@ export type Interest = {
   importance: number,
 };
 
-/** What an isovalue was chosen by. */
+/** Rule by which an isovalue was chosen. */
 export type IsoReason = "bone" | "labels" | "background-left-out" | "whole-histogram" | "no-surface";
 
 /** A batch job. */
 export type JobInfo = {
-  /** Its id. */
+  /** Id of the job. */
   id: string,
-  /** Id of its volume. */
+  /** Id of the job's volume. */
   volume: string,
-  /** Its state. */
+  /** State of the job. */
   state: JobState,
-  /** Why it is paused at the moment, if it is: `disk-full` or `storage`. It goes on by itself. */
+  /** Why the job is paused: `disk-full` or `storage`. Absent if it is not paused. The job resumes by itself. */
   paused?: string,
-  /** Its extractions. */
+  /** Numbers of the job's extractions. */
   extractions: Progress,
-  /** Bytes of its results. */
+  /** Total bytes of the results. */
   bytes: number,
-  /** What it is expected to cost. */
+  /** Expected cost of the job. */
   estimate: Estimate,
-  /** Seconds until it is done, once it runs, as far as known. */
+  /** Estimated seconds until the job is done, if it runs and the time can be estimated. */
   etaSeconds?: number,
-  /** When it was submitted, in seconds since 1970. */
+  /** When the job was submitted, in seconds since 1970. */
   submitted: number,
-  /** When its first extraction began. */
+  /** When the job's first extraction began, in seconds since 1970. */
   started?: number,
-  /** When it was done, failed or cancelled. */
+  /** When the job was done, failed or cancelled, in seconds since 1970. */
   finished?: number,
-  /** Why it failed. */
+  /** Why the job failed. */
   error?: Cause,
-  /** Of one job that was asked for: the first hundred extractions that failed. */
+  /** The first hundred extractions that failed. Only in the description of a single job. */
   failures?: Array<Failure>,
 };
 
@@ -432,9 +435,9 @@ export type Label = {
   value: number,
   /** Number in the file, if it differs from `value`: 32-bit floats do not hold all numbers above 16777216. */
   stored?: string,
-  /** Name for people. */
+  /** Name for users. */
   name: string | null,
-  /** `#rrggbb`. */
+  /** Colour, `#rrggbb`. */
   color: string | null,
 };
 
@@ -443,9 +446,9 @@ export type LeafKind = "cubes" | "tree";
 
 /** A surface of the member in control. */
 export type LedSurface = {
-  /** Its number. */
+  /** Number of the surface. */
   surface: number,
-  /** Every value in force. */
+  /** The values of all parameters. */
   edit: Edit,
 };
 
@@ -454,9 +457,9 @@ export type MaxError = number | string | null;
 
 /** Measured distance of a mesh from the surface it stands for, in world units. */
 export type MeasuredError = {
-  /** Root mean square. */
+  /** Root mean square of the distance. */
   rms: number,
-  /** Maximum. */
+  /** Maximum of the distance. */
   max: number,
 };
 
@@ -465,23 +468,23 @@ export type MesherName = "dual" | "marching-cubes";
 
 /** The leaf that stands for a part of the surface. */
 export type NearestLeaf = {
-  /** Of which kind. */
+  /** Kind of the leaf. */
   kind: LeafKind,
-  /** Its level. */
+  /** Level of the leaf. */
   level: number,
-  /** Its estimated error, root mean square in world units. */
+  /** Estimated error of the leaf, root mean square in world units. */
   error: number,
 };
 
 /** The full surface's vertex that is nearest to a position. */
 export type NearestSurface = {
-  /** From the position to it, world units. */
+  /** Distance from the position to the vertex, in world units. */
   distance: number,
   /** Smoothness feature. */
   smoothness: number,
   /** User feature, in the feature's own units. */
   feature: number,
-  /** Of both, what the transfer function looks at. */
+  /** Blend of both features: the input of the transfer function. */
   blended: number,
   /** Importance. */
   importance: number,
@@ -506,9 +509,9 @@ export type NoValue = "missing" | "not-resident";
 export type OpeningIso = {
   /** Isovalue, in the field's units. */
   iso: number,
-  /** Why it is that one, for programs. */
+  /** Stable code of the reason for this isovalue. */
   reason: IsoReason,
-  /** Why it is that one, for people. */
+  /** Reason for this isovalue, as text for users. */
   explanation: string,
 };
 
@@ -517,9 +520,9 @@ export type Outward = "auto" | "high" | "low";
 
 /** What the page of the member in control shows beside its surfaces. */
 export type Pose = {
-  /** Its camera. */
+  /** Camera of the page. */
   camera?: Camera,
-  /** Its look, as it writes that itself: the server does not read it. */
+  /** State of the page in a format of its own: the server forwards it without reading it. */
   page?: string,
 };
 
@@ -556,13 +559,13 @@ export type Problem = {
 
 /** Numbers of a job's extractions. */
 export type Progress = {
-  /** All. */
+  /** Total number of extractions. */
   total: number,
-  /** With a result. */
+  /** Number of extractions with a result. */
   done: number,
-  /** Without a result, after three attempts, or after the first if others would not help. */
+  /** Number of extractions without a result after three attempts, or after the first one if a retry would not help. */
   failed: number,
-  /** Without one, because the surface has no triangles. */
+  /** Number of extractions without a result because the surface has no triangles. */
   empty: number,
 };
 
@@ -571,48 +574,48 @@ export type Projection = "perspective" | "orthographic";
 
 /** The measured error of a region, in world units. */
 export type RegionError = {
-  /** Region, in units of 32 cells. */
+  /** Position of the region, in units of 32 cells. */
   region: [number, number, number],
-  /** Root mean square. */
+  /** Root mean square of the distance. */
   rms: number,
-  /** Maximum. */
+  /** Maximum of the distance. */
   max: number,
 };
 
-/** What a leader comes back with. */
+/** Credentials with which a leader resumes its group on another connection. */
 export type Resume = {
-  /** The group's id. */
+  /** Id of the group. */
   group: string,
-  /** The key that the leader's `group` had. */
+  /** Key from the message `group` to the leader. */
   key: string,
 };
 
-/** A part of what the server does. */
+/** A role of a user: a set of operations that the user may request. */
 export type Role = "view" | "edit" | "export" | "upload" | "push" | "admin";
 
 /** A text frame from the server. */
 export type ServerMessage = { "type": "opening",
-  /** Bytes of files and samples that this has gone through so far. */
+  /** Bytes of files and samples that the server has processed so far. */
   bytes: number,
-  /** Bytes that it has to go through. */
+  /** Bytes that the server has to process in total. */
   totalBytes: number,
-  /** The device is being prepared, and nothing was read yet. */
+  /** Progress of the device's preparation, before the server reads the volume. */
   device?: Preparation,
 } | { "type": "opened",
   /** As `GET /api/v1/volumes/{id}`. */
   volume: VolumeInfo,
   /** Time step. */
   step: number,
-  /** Every value in force. */
+  /** The values of all parameters. */
   edit: Edit,
   /** Name of the device. */
   device: string,
-  /** What this server does. */
+  /** Optional functions that this server supports. */
   capabilities: Capabilities,
 } | { "type": "stepped",
-  /** Which one. */
+  /** Number of the time step. */
   step: number,
-  /** Its time as text for people, if the file has times. */
+  /** Time of the step as text for users, if the file has times. */
   label: string | null,
 } | { "type": "described",
   /** As `GET /api/v1/volumes/{id}` of that step. */
@@ -622,17 +625,17 @@ export type ServerMessage = { "type": "opening",
 } | { "type": "prefix",
   /** Number of the surface. */
   surface: number,
-  /** Of which edit. */
+  /** Generation of the surface. */
   generation: number,
   /** Level of the prefix. */
   level: number,
-  /** What its chunks are. */
+  /** Kind of the chunks. */
   kind: ChunkKind,
-  /** Which mesher made them. */
+  /** Mesher that made the chunks. */
   mesher: MesherName,
-  /** Chunks that follow. */
+  /** Number of chunks that follow. */
   regions: number,
-  /** Regions that the client keeps as they are. */
+  /** Number of regions that the client keeps unchanged. */
   unchanged: number,
   /** Triangles of the whole surface once this prefix is committed. */
   triangles: number,
@@ -641,7 +644,7 @@ export type ServerMessage = { "type": "opening",
 } | { "type": "committed",
   /** Number of the surface. */
   surface: number,
-  /** Of which edit. */
+  /** Generation of the surface. */
   generation: number,
   /** Level of the prefix. */
   level: number,
@@ -650,20 +653,20 @@ export type ServerMessage = { "type": "opening",
 } | { "type": "done",
   /** Number of the surface. */
   surface: number,
-  /** Of which edit. */
+  /** Generation of the surface. */
   generation: number,
-  /** What the edit has in the server's log: 16 hexadecimal digits. */
+  /** Id of the edit in the server's log: 16 hexadecimal digits. */
   trace: string,
   /** As `isopeel extract --stats` prints them. */
   statistics: Statistics,
 } | { "type": "measured",
   /** Number of the surface. */
   surface: number,
-  /** Of which edit. */
+  /** Generation of the surface. */
   generation: number,
-  /** Of the whole surface. */
+  /** Error of the whole surface. */
   error: MeasuredError,
-  /** Of each region that has triangles. */
+  /** Error of each region that has triangles. */
   regions: Array<RegionError>,
 } | { "type": "probed",
   /** Number of the surface. */
@@ -681,22 +684,22 @@ export type ServerMessage = { "type": "opening",
 } | { "type": "distribution",
   /** Number of the surface. */
   surface: number,
-  /** Of which edit. */
+  /** Generation of the surface. */
   generation: number,
-  /** What the leaves are. */
+  /** Kind of the leaves. */
   kind: LeafKind,
-  /** Vertices in equal bins from 0 to 1. */
+  /** Number of vertices in each of the equal bins from 0 to 1. */
   bins: Array<number>,
-  /** Of these, those whose leaf stands for others too. */
+  /** Number of those vertices whose leaf stands for several vertices, in each bin. */
   coarse: Array<number>,
   /** Share of `coarse` in all vertices. */
   coarseShare: number,
 } | { "type": "curve",
   /** Number of the surface. */
   surface: number,
-  /** Of which edit. */
+  /** Generation of the surface. */
   generation: number,
-  /** What is cut. */
+  /** Kind of the leaves of the cuts. */
   kind: LeafKind,
   /** Whether thresholds are tolerances, or else β. */
   byError: boolean,
@@ -705,54 +708,54 @@ export type ServerMessage = { "type": "opening",
 } | { "type": "annotated",
   /** Number of the surface. */
   surface: number,
-  /** Of which edit. */
+  /** Generation of the surface. */
   generation: number,
-  /** What they hold. */
+  /** Annotation that the chunks hold. */
   annotation: Annotation,
-  /** How many. */
+  /** Number of chunks that follow. */
   regions: number,
 } | { "type": "superseded",
   /** Number of the surface. */
   surface: number,
-  /** Of which edit. */
+  /** Generation of the surface. */
   generation: number,
 } | { "type": "removed",
   /** Number of the surface. */
   surface: number,
 } | { "type": "group",
-  /** Its id, which a link to it has. */
+  /** Id of the group, which a link to it contains. */
   group: string,
-  /** The viewer's own number in it; 0: it leads. */
+  /** The viewer's own number in the group; 0: the viewer leads. */
   you: number,
-  /** Number of who has control. */
+  /** Number of the member in control. */
   control: number,
-  /** How many follow. */
+  /** Number of followers. */
   followers: number,
   /** Whether the viewer asks for control. */
   asks: boolean,
-  /** The leader's connection was lost; the group waits for it. */
+  /** Whether the leader's connection is lost, so that the group waits for the leader. */
   leaderAway: boolean,
-  /** For the leader alone: what it comes back with on another connection. */
+  /** Only for the leader: the key with which it resumes the group on another connection. */
   key?: string,
-  /** For the leader: some of those who follow, first those who ask for control. */
+  /** Only for the leader: some of the followers, first those who ask for control. */
   people: Array<Follower>,
 } | { "type": "led",
-  /** The volume. */
+  /** Id of the volume. */
   volume: string,
   /** Time step. */
   step: number,
-  /** The surfaces that there are, with every value in force. */
+  /** The surfaces, with the values of all parameters. */
   surfaces: Array<LedSurface>,
 } | { "type": "posed",
-  /** Its camera. */
+  /** Camera of the page. */
   camera?: Camera,
-  /** Its look, as it writes that itself: the server does not read it. */
+  /** State of the page in a format of its own: the server forwards it without reading it. */
   page?: string,
 } | { "type": "heartbeat",
-  /** Time until the next one. */
+  /** Seconds until the next heartbeat. */
   seconds: number,
 } | { "type": "left",
-  /** Why. */
+  /** Why the viewer is no longer in the group. */
   reason: string,
 } | { "type": "error",
   /** Stable code for programs. */
@@ -769,13 +772,13 @@ export type ServerMessage = { "type": "opening",
 
 /** What the client may do. */
 export type SessionInfo = {
-  /** All that it may do: `edit` has `view` beside it, and `admin` all. */
+  /** Roles of the client, with those that they imply: `edit` implies `view`, and `admin` implies all. */
   roles: Array<Role>,
-  /** Seconds until its token expires; `null`: it does not expire. */
+  /** Seconds until the client's token expires; `null`: it does not expire. */
   expiresSeconds: number | null,
-  /** Whether it may have batch jobs made: the server keeps some (`--state-folder`), and the client has the role `export`. */
+  /** Whether the client may submit batch jobs: the server runs them (`--state-folder`), and the client has the role `export`. */
   jobs: boolean,
-  /** Whether it may upload volumes: the server takes some (`--uploads`), and the client has the role `upload`. */
+  /** Whether the client may upload volumes: the server accepts them (`--uploads`), and the client has the role `upload`. */
   uploads: boolean,
 };
 
@@ -808,15 +811,15 @@ export type ShareBudget = {
 
 /** A sphere. */
 export type Sphere = {
-  /** Its centre. */
+  /** Centre of the sphere. */
   center: [number, number, number],
-  /** Above 0. */
+  /** Radius, above 0. */
   radius: number,
 };
 
 /** Counts, times and bytes of one surface. */
 export type Statistics = {
-  /** Which mesher made it. */
+  /** Mesher that made the surface. */
   mesher: MesherName,
   /**
    * Importance up to which cubes were decimated: as given, or for marching cubes as found for a budget. Null: an error or a
@@ -830,7 +833,7 @@ export type Statistics = {
   tolerance: number | null,
   /** Guard on the error of a decimated part, world units; null: off. */
   maxError: number | null,
-  /** What holds of the topology. */
+  /** The setting that was in force: whether decimation could change the topology. */
   topology: TopologyName,
   /** Values of the feature that count as 0 and 1: as given, or its own range. Null: no feature. */
   featureRange: [number, number] | null,
@@ -855,8 +858,8 @@ export type Statistics = {
    */
   removedParts: number | null,
   /**
-   * Their triangles in the undecimated marching-cubes surface; those of a cell with several parts count for one of them. Null as
-   * `removedParts`.
+   * Triangles of the removed parts in the undecimated marching-cubes surface; those of a cell with several parts count for one of them.
+   * Null as `removedParts`.
    */
   removedTriangles: number | null,
   /** Positions of `parts` with no surface next to them, which selected nothing. Null as `removedParts`. */
@@ -922,7 +925,7 @@ export type TransferFunction = {
 /** Maximum triangles of a surface: a number, or a share of the full surface. */
 export type TriangleBudget = number | ShareBudget;
 
-/** A path that was named to the server and that it cannot read. */
+/** A path that the server was started with and that it cannot read. */
 export type UnreadablePath = {
   /** Name of the file or folder. */
   name: string,
@@ -932,37 +935,37 @@ export type UnreadablePath = {
 
 /** An upload. */
 export type UploadInfo = {
-  /** Its name in URLs, made by the server. */
+  /** Id of the upload, which the server has generated. */
   id: string,
-  /** Name for people, of its files. */
+  /** Title for users, from the names of the files. */
   title: string,
-  /** Whose it is. */
+  /** User who owns the upload. */
   owner: string,
-  /** Its state. */
+  /** State of the upload. */
   state: UploadState,
-  /** Number of its files. */
+  /** Number of files. */
   files: number,
-  /** Bytes in all, as they were declared. */
+  /** Total bytes of the files, as declared. */
   bytes: number,
-  /** Bytes that are there: the offset at which to continue. */
+  /** Bytes that the server has received: the offset at which to continue. */
   receivedBytes: number,
-  /** When it was made, RFC 3339. */
+  /** When the upload was created (RFC 3339). */
   created: string,
-  /** When it is removed, unless it is used before: a part of it is sent, or a volume of it is looked at. */
+  /** When the server removes the upload (RFC 3339), unless it is used before: a part of it is sent, or one of its volumes is viewed. */
   expires: string,
-  /** Ids of its volumes, once they are there. */
+  /** Ids of the upload's volumes; empty until the server has read its files. */
   volumes: Array<string>,
-  /** Why it could not be read as a volume, if that was tried. */
+  /** Why the files could not be read as a volume, if the server has tried. */
   error: string | null,
 };
 
-/** What `GET uploads` answers. */
+/** The uploads of a user, and the user's quota. */
 export type UploadList = {
-  /** Bytes that a user may have. */
+  /** Maximum bytes of the user's uploads. */
   quotaBytes: number,
   /** Bytes of the user's uploads that count: as declared, or as unpacked if that is more. */
   usedBytes: number,
-  /** The latest first; an administrator's has those of all users. */
+  /** The uploads, the latest first; for an administrator, those of all users. */
   uploads: Array<UploadInfo>,
 };
 
@@ -979,9 +982,9 @@ export type VectorInfo = {
 
 /** A volume: the description of one time step for the editor. */
 export type VolumeInfo = {
-  /** Stable name in URLs and messages. */
+  /** Stable id in URLs and messages. */
   id: string,
-  /** Name for people. */
+  /** Title for users. */
   title: string,
   /** Positions of the samples. */
   geometry: Geometry,
@@ -1008,11 +1011,11 @@ export type VolumeInfo = {
   opening: Edit | null,
 };
 
-/** A volume, in short. */
+/** Summary of a volume. */
 export type VolumeSummary = {
-  /** Stable name in URLs and messages. */
+  /** Stable id in URLs and messages. */
   id: string,
-  /** Name for people. */
+  /** Title for users. */
   title: string,
   /** Samples along x, y, z. */
   dims: [number, number, number],
@@ -1020,6 +1023,6 @@ export type VolumeSummary = {
   steps: number,
   /** Names of the fields, the main one first. */
   fields: Array<string>,
-  /** What is to be shown beside the data, a line each, as in the volume's description. */
+  /** Notices to be shown with the data, one a line, as in the volume's description. */
   notice: string | null,
 };

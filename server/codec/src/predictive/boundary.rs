@@ -4,7 +4,8 @@
 /// Number of an edge.
 pub(super) type EdgeId = usize;
 
-/// An edge, in the direction that it has in the uncovered triangle behind it.
+/// A directed edge between a covered triangle and the uncovered triangle on its other side ("behind" it). It has the direction that it has
+/// in the uncovered triangle.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Edge {
     pub from: u32,
@@ -63,14 +64,14 @@ impl Boundary {
         self.edges[id].is_border = true;
     }
 
-    /// Returns for each vertex whether one of its edges is open.
-    pub fn border_vertices(&self) -> Vec<bool> {
-        let mut is_at_border = vec![false; self.ending.len()];
+    /// Returns for each vertex whether it is on the boundary, that is, whether one of its edges is open.
+    pub fn boundary_vertices(&self) -> Vec<bool> {
+        let mut is_on_boundary = vec![false; self.ending.len()];
         for edge in self.edges.iter().filter(|edge| edge.is_open) {
-            is_at_border[edge.from as usize] = true;
-            is_at_border[edge.to as usize] = true;
+            is_on_boundary[edge.from as usize] = true;
+            is_on_boundary[edge.to as usize] = true;
         }
-        is_at_border
+        is_on_boundary
     }
 
     /// Adds a vertex.
@@ -108,20 +109,21 @@ impl Boundary {
             next,
             ..
         } = self.edges[id];
-        let is_left_too = self.edges[previous].from == c;
+        // Whether the triangle also has the previous edge of the loop as a side.
+        let closes_left = self.edges[previous].from == c;
         let incoming =
             self.ending[c as usize].filter(|&other| other != id && self.is_open(other) && self.edges[other].to == c);
         let [left, right] = self.replace(id, [a, b, c], level);
         match third {
             Third::Other => {
                 if let Some(incoming) = incoming {
-                    self.split(incoming, left, right);
+                    self.relink(incoming, left, right);
                 }
             }
             Third::Right => self.close(right, next, c, left),
             Third::New | Third::Left => {}
         }
-        if third == Third::Left || third == Third::Right && is_left_too {
+        if third == Third::Left || third == Third::Right && closes_left {
             let previous = self.edges[left].previous;
             let before = self.edges[previous].previous;
             self.close(previous, left, c, before);
@@ -153,8 +155,9 @@ impl Boundary {
         [left, right]
     }
 
-    /// Relinks the edges where the loop touches itself or another loop, at the vertex at which `incoming` ends.
-    fn split(&mut self, incoming: EdgeId, left: EdgeId, right: EdgeId) {
+    /// Relinks the edges at the vertex at which `incoming` ends. If the loop touches itself there, it becomes two loops; if it touches
+    /// another loop, the two become one.
+    fn relink(&mut self, incoming: EdgeId, left: EdgeId, right: EdgeId) {
         let after = self.edges[incoming].next;
         self.edges[left].next = after;
         self.edges[after].previous = left;

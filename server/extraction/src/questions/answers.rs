@@ -54,11 +54,11 @@ pub enum NoValue {
 #[cfg_attr(feature = "typescript", derive(ts_rs::TS))]
 #[serde(rename_all = "camelCase")]
 pub struct FieldValue {
-    /// Its name.
+    /// Name of the field.
     pub field: String,
-    /// Trilinear, in the field's units.
+    /// Trilinearly interpolated value in the field's units; null if there is none.
     pub value: Option<f32>,
-    /// Why there is none.
+    /// Why there is no value.
     #[cfg_attr(feature = "typescript", ts(optional))]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub why: Option<NoValue>,
@@ -69,11 +69,11 @@ pub struct FieldValue {
 #[cfg_attr(feature = "typescript", derive(ts_rs::TS))]
 #[serde(rename_all = "camelCase")]
 pub struct NearestLeaf {
-    /// Of which kind.
+    /// Kind of the leaf.
     pub kind: LeafKind,
-    /// Its level.
+    /// Level of the leaf.
     pub level: u8,
-    /// Its estimated error, root mean square in world units.
+    /// Estimated error of the leaf, root mean square in world units.
     pub error: f32,
 }
 
@@ -82,13 +82,13 @@ pub struct NearestLeaf {
 #[cfg_attr(feature = "typescript", derive(ts_rs::TS))]
 #[serde(rename_all = "camelCase")]
 pub struct NearestSurface {
-    /// From the position to it, world units.
+    /// Distance from the position to the vertex, in world units.
     pub distance: f32,
     /// Smoothness feature.
     pub smoothness: f32,
     /// User feature, in the feature's own units.
     pub feature: f32,
-    /// Of both, what the transfer function looks at.
+    /// Blend of both features: the input of the transfer function.
     pub blended: f32,
     /// Importance.
     pub importance: f32,
@@ -122,11 +122,11 @@ pub struct Probe {
 #[cfg_attr(feature = "typescript", derive(ts_rs::TS))]
 #[serde(rename_all = "camelCase")]
 pub struct Distribution {
-    /// What the leaves are.
+    /// Kind of the leaves.
     pub kind: LeafKind,
-    /// Vertices in equal bins from 0 to 1.
+    /// Number of vertices in each of the equal bins from 0 to 1.
     pub bins: Vec<u32>,
-    /// Of these, those whose leaf stands for others too.
+    /// Number of those vertices whose leaf stands for several vertices, in each bin.
     pub coarse: Vec<u32>,
     /// Share of `coarse` in all vertices.
     pub coarse_share: f64,
@@ -150,7 +150,7 @@ pub struct CurvePoint {
 #[cfg_attr(feature = "typescript", derive(ts_rs::TS))]
 #[serde(rename_all = "camelCase")]
 pub struct Curve {
-    /// What is cut.
+    /// Kind of the leaves of the cuts.
     pub kind: LeafKind,
     /// Whether thresholds are tolerances, or else β.
     pub by_error: bool,

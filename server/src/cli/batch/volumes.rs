@@ -22,7 +22,7 @@ use super::steps::Steps;
 use super::{Args, BatchError, Interrupt};
 use crate::cli::jobs::{empty_ones, progress_bar};
 use crate::cli::output::{Output, OutputError, WrittenFile};
-use crate::export::{self, FileRequest, Format, MadeFile, OtherVolumes};
+use crate::export::{self, FileContent, FileRequest, Format, OtherVolumes};
 use crate::jobs::{Cause, ExtractionState, MAX_ATTEMPTS, MakeFailure, ManifestEntry, failure};
 use crate::service::DeviceWorker;
 
@@ -354,7 +354,7 @@ impl Batch<'_> {
     }
 
     /// Extracts a surface and makes its file. Retries if another attempt may succeed.
-    async fn attempts(&self, volume: &VolumeStep) -> Result<MadeFile, Unmade> {
+    async fn attempts(&self, volume: &VolumeStep) -> Result<FileContent, Unmade> {
         let request = FileRequest {
             step: volume.step(),
             ..self.request.clone()

@@ -152,7 +152,7 @@ async fn who_cancels_a_job_ends_its_work_and_who_stops_the_server_loses_no_attem
     // Stopped more often than it may fail.
     for _ in 0..2 * MAX_ATTEMPTS {
         let (store, _) = open(folder.path()).await;
-        let work = store.begin().await.unwrap().expect("an attempt");
+        let work = store.begin_attempt().await.unwrap().expect("an attempt");
         store.finish(&work, Outcome::GivenBack).await.unwrap();
     }
 }

@@ -80,7 +80,7 @@ impl Store {
             }
             check_limits(transaction, &job, limits)?;
             insert(transaction, &job)?;
-            Ok((get(transaction, &job.request.owner, &job.id)?.1, true))
+            Ok((find_job(transaction, &job.request.owner, &job.id)?.1, true))
         })
         .await
     }
@@ -125,7 +125,7 @@ impl Store {
     pub async fn get(&self, owner: &str, id: &str) -> Result<JobInfo, JobError> {
         let (owner, id) = (owner.to_owned(), id.to_owned());
         self.write(move |transaction| {
-            let (number, info) = get(transaction, &owner, &id)?;
+            let (number, info) = find_job(transaction, &owner, &id)?;
             let failures = failures(transaction, number)?;
             Ok(JobInfo { failures, ..info })
         })
@@ -139,7 +139,7 @@ impl Store {
     pub async fn cancel(&self, owner: &str, id: &str) -> Result<JobInfo, JobError> {
         let (owner, id) = (owner.to_owned(), id.to_owned());
         self.write_from_reserve(move |transaction| {
-            let (number, info) = get(transaction, &owner, &id)?;
+            let (number, info) = find_job(transaction, &owner, &id)?;
             if info.state.is_finished() {
                 let (job, state) = (id.clone(), info.state.name());
                 return Err(JobError::Finished { job, state });
@@ -148,7 +148,7 @@ impl Store {
             let values = (number, JobState::Cancelled.name(), now());
             transaction.execute(update, values).map_err(StoreError::from)?;
             add_event(transaction, number, None)?;
-            Ok(get(transaction, &owner, &id)?.1)
+            Ok(find_job(transaction, &owner, &id)?.1)
         })
         .await
     }
@@ -160,7 +160,7 @@ impl Store {
     pub async fn delete(&self, owner: &str, id: &str) -> Result<(), JobError> {
         let (owner, id) = (owner.to_owned(), id.to_owned());
         self.write_from_reserve(move |transaction| {
-            let (number, info) = get(transaction, &owner, &id)?;
+            let (number, info) = find_job(transaction, &owner, &id)?;
             if !info.state.is_finished() {
                 return Err(JobError::NotFinished(id.clone()));
             }
@@ -178,7 +178,7 @@ impl Store {
     pub async fn events(&self, owner: &str, id: &str, after: i64) -> Result<(Vec<JobEvent>, bool), JobError> {
         let (owner, id) = (owner.to_owned(), id.to_owned());
         self.write(move |transaction| {
-            let (number, info) = get(transaction, &owner, &id)?;
+            let (number, info) = find_job(transaction, &owner, &id)?;
             let events = events(transaction, number, after)?;
             Ok((events, info.state.is_finished()))
         })
@@ -192,7 +192,7 @@ impl Store {
     pub async fn manifest(&self, owner: &str, id: &str) -> Result<Vec<ManifestEntry>, JobError> {
         let (owner, id) = (owner.to_owned(), id.to_owned());
         self.write(move |transaction| {
-            let (number, _) = get(transaction, &owner, &id)?;
+            let (number, _) = find_job(transaction, &owner, &id)?;
             Ok(manifest(transaction, number)?)
         })
         .await
@@ -205,7 +205,7 @@ impl Store {
     pub async fn result(&self, owner: &str, id: &str, extraction: u32) -> Result<ResultInfo, JobError> {
         let (owner, id) = (owner.to_owned(), id.to_owned());
         self.write(move |transaction| {
-            let (number, info) = get(transaction, &owner, &id)?;
+            let (number, info) = find_job(transaction, &owner, &id)?;
             match result(transaction, number, extraction)? {
                 Ok(info) => Ok(info),
                 Err(why) => Err(JobError::NoResult {
@@ -220,7 +220,7 @@ impl Store {
 }
 
 /// Returns the number of a job, by which other tables refer to it, and the job.
-fn get(transaction: &Transaction<'_>, owner: &str, id: &str) -> Result<(i64, JobInfo), JobError> {
+fn find_job(transaction: &Transaction<'_>, owner: &str, id: &str) -> Result<(i64, JobInfo), JobError> {
     let query = format!("SELECT {JOB_COLUMNS} FROM jobs WHERE owner = ?1 AND id = ?2");
     let job = optional(transaction.query_row(&query, [owner, id], |row| Ok(job_info(row))))?;
     job.ok_or_else(|| JobError::UnknownJob(id.to_owned()))
@@ -237,7 +237,7 @@ fn repeated(transaction: &Transaction<'_>, request: &RequestKey) -> Result<Optio
         let (key, job) = (key.clone(), id);
         return Err(JobError::KeyReused { key, job });
     }
-    Ok(Some(get(transaction, &request.owner, &id)?.1))
+    Ok(Some(find_job(transaction, &request.owner, &id)?.1))
 }
 
 fn check_limits(transaction: &Transaction<'_>, job: &NewJob, limits: Limits) -> Result<(), JobError> {

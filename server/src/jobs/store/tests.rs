@@ -35,7 +35,7 @@ async fn a_job_goes_from_queued_to_done_and_its_events_say_how() {
     assert!(is_new);
     assert_eq!((queued.state, queued.extractions.total), (JobState::Queued, 2));
     for extraction in 0..2 {
-        let work = store.begin().await.unwrap().unwrap();
+        let work = store.begin_attempt().await.unwrap().unwrap();
         assert_eq!(
             (work.extraction, work.request.edit.iso),
             (extraction, Some(extraction as f32))
@@ -46,7 +46,7 @@ async fn a_job_goes_from_queued_to_done_and_its_events_say_how() {
         assert_eq!((running.state, running.eta_seconds), (JobState::Running, Some(eta)));
         assert!(store.finish(&work, done(100)).await.unwrap());
     }
-    assert_eq!(store.begin().await.unwrap(), None);
+    assert_eq!(store.begin_attempt().await.unwrap(), None);
     let info = store.get(OPERATOR, "x").await.unwrap();
     assert_eq!((info.state, info.bytes, info.eta_seconds), (JobState::Done, 200, None));
     assert!(
@@ -91,7 +91,7 @@ async fn owners_take_turns_and_each_ones_jobs_come_in_their_order() {
         store.submit(of(owner, id, extractions), LIMITS).await.unwrap();
     }
     let mut order = Vec::new();
-    while let Some(work) = store.begin().await.unwrap() {
+    while let Some(work) = store.begin_attempt().await.unwrap() {
         order.push(format!("{} {}", work.job, work.extraction));
         if order.len() == 1 {
             // Three owners: each has one turn in three.
@@ -117,10 +117,10 @@ async fn attempts_are_counted_before_they_start_and_end_after_three() {
     // A process that ends in each attempt.
     for _ in 0..MAX_ATTEMPTS {
         let (store, _) = open(folder.path()).await;
-        assert_eq!(store.begin().await.unwrap().unwrap().extraction, 0);
+        assert_eq!(store.begin_attempt().await.unwrap().unwrap().extraction, 0);
     }
     let (store, _) = open(folder.path()).await;
-    let work = store.begin().await.unwrap().unwrap();
+    let work = store.begin_attempt().await.unwrap().unwrap();
     assert_eq!(work.extraction, 1, "the other is made still");
     assert!(store.finish(&work, done(1)).await.unwrap());
     let info = store.get(OPERATOR, "x").await.unwrap();
@@ -142,15 +142,15 @@ async fn an_attempt_that_is_given_back_does_not_count_and_one_that_failed_does()
     let (_folder, store, _) = open_new().await;
     store.submit(job("x", None, 1), LIMITS).await.unwrap();
     for _ in 0..2 * MAX_ATTEMPTS {
-        let work = store.begin().await.unwrap().unwrap();
+        let work = store.begin_attempt().await.unwrap().unwrap();
         assert!(store.finish(&work, Outcome::GivenBack).await.unwrap());
     }
     for _ in 0..MAX_ATTEMPTS {
         assert_eq!(store.get(OPERATOR, "x").await.unwrap().extractions.failed, 0);
-        let work = store.begin().await.unwrap().unwrap();
+        let work = store.begin_attempt().await.unwrap().unwrap();
         assert!(store.finish(&work, Outcome::Failed(cause())).await.unwrap());
     }
-    assert_eq!(store.begin().await.unwrap(), None);
+    assert_eq!(store.begin_attempt().await.unwrap(), None);
     assert_eq!(store.get(OPERATOR, "x").await.unwrap().failures[0].cause, cause());
 }
 
@@ -159,14 +159,14 @@ async fn what_no_attempt_would_change_fails_at_once() {
     let (_folder, store, _) = open_new().await;
     store.submit(job("x", None, 2), LIMITS).await.unwrap();
     store.submit(job("y", None, 1), LIMITS).await.unwrap();
-    let work = store.begin().await.unwrap().unwrap();
+    let work = store.begin_attempt().await.unwrap().unwrap();
     assert!(store.finish(&work, Outcome::Refused(cause())).await.unwrap());
-    let work = store.begin().await.unwrap().unwrap();
+    let work = store.begin_attempt().await.unwrap().unwrap();
     assert_eq!((work.job.as_str(), work.extraction), ("x", 1));
     assert!(store.finish(&work, Outcome::JobFailed(cause())).await.unwrap());
     let info = store.get(OPERATOR, "x").await.unwrap();
     assert_eq!((info.state, info.error), (JobState::Failed, Some(cause())));
-    assert_eq!(store.begin().await.unwrap().unwrap().job, "y");
+    assert_eq!(store.begin_attempt().await.unwrap().unwrap().job, "y");
 }
 
 fn empty() -> Outcome {
@@ -181,7 +181,7 @@ async fn an_empty_surface_is_noted_and_the_others_go_on() {
     let (_folder, store, _) = open_new().await;
     store.submit(job("x", None, 3), LIMITS).await.unwrap();
     for outcome in [done(100), empty()] {
-        let work = store.begin().await.unwrap().unwrap();
+        let work = store.begin_attempt().await.unwrap().unwrap();
         assert!(store.finish(&work, outcome).await.unwrap());
     }
     let states = async || {
@@ -190,7 +190,7 @@ async fn an_empty_surface_is_noted_and_the_others_go_on() {
     };
     use ExtractionState::{Done, Empty, Waiting};
     assert_eq!(states().await, [Done, Empty, Waiting]);
-    let work = store.begin().await.unwrap().unwrap();
+    let work = store.begin_attempt().await.unwrap().unwrap();
     assert!(store.finish(&work, empty()).await.unwrap());
     let info = store.get(OPERATOR, "x").await.unwrap();
     assert_eq!((info.state, info.error), (JobState::Done, None));
@@ -220,7 +220,7 @@ async fn a_job_of_empty_surfaces_alone_has_failed() {
     ] {
         store.submit(job(id, None, 2), LIMITS).await.unwrap();
         for outcome in outcomes {
-            let work = store.begin().await.unwrap().unwrap();
+            let work = store.begin_attempt().await.unwrap().unwrap();
             assert!(store.finish(&work, outcome).await.unwrap());
         }
         let info = store.get(OPERATOR, id).await.unwrap();
@@ -285,7 +285,7 @@ async fn a_key_stands_for_one_request() {
 async fn nobody_sees_jobs_of_another_owner() {
     let (_folder, store, _) = open_new().await;
     store.submit(job("x", None, 1), LIMITS).await.unwrap();
-    let work = store.begin().await.unwrap().unwrap();
+    let work = store.begin_attempt().await.unwrap().unwrap();
     store.finish(&work, done(1)).await.unwrap();
     assert_eq!(store.list("another").await.unwrap(), []);
     let unknown = |error: JobError| assert!(matches!(&error, JobError::UnknownJob(id) if id == "x"), "{error}");
@@ -301,12 +301,12 @@ async fn nobody_sees_jobs_of_another_owner() {
 async fn a_cancelled_job_takes_no_result_and_a_finished_one_can_be_deleted() {
     let (_folder, store, _) = open_new().await;
     store.submit(job("x", None, 2), LIMITS).await.unwrap();
-    let work = store.begin().await.unwrap().unwrap();
+    let work = store.begin_attempt().await.unwrap().unwrap();
     let refused = store.delete(OPERATOR, "x").await.unwrap_err();
     assert!(matches!(&refused, JobError::NotFinished(_)), "{refused}");
     assert_eq!(store.cancel(OPERATOR, "x").await.unwrap().state, JobState::Cancelled);
     assert!(!store.finish(&work, done(1)).await.unwrap());
-    assert_eq!(store.begin().await.unwrap(), None);
+    assert_eq!(store.begin_attempt().await.unwrap(), None);
     let again = store.cancel(OPERATOR, "x").await.unwrap_err().to_string();
     assert_eq!(again, "job x is cancelled, expected one that is queued or running");
     let (before, _) = store.events(OPERATOR, "x", 0).await.unwrap();
@@ -324,7 +324,7 @@ async fn what_is_above_a_limit_is_refused_with_numbers() {
     let (_folder, store, _) = open_new().await;
     let limits = Limits { quota_bytes: 2_500 };
     store.submit(job("a", None, 1), limits).await.unwrap();
-    let work = store.begin().await.unwrap().unwrap();
+    let work = store.begin_attempt().await.unwrap().unwrap();
     store.finish(&work, done(700)).await.unwrap();
     store.submit(job("b", None, 1), limits).await.unwrap();
     // 700 bytes that were made, and 1,000 that are estimated.

@@ -71,7 +71,7 @@ impl Store {
     ///
     /// # Errors
     /// [`StoreError`].
-    pub async fn begin(&self) -> Result<Option<Work>, StoreError> {
+    pub async fn begin_attempt(&self) -> Result<Option<Work>, StoreError> {
         let last_owner = || self.last_owner.lock().unwrap_or_else(PoisonError::into_inner);
         let after = last_owner().clone();
         let next_work = self.write(move |transaction| {

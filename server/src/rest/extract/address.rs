@@ -90,9 +90,9 @@ fn client_has(headers: &HeaderMap, digest: FileDigest) -> bool {
     ContentEncoding::is_known(headers, &hash(digest))
 }
 
-/// Extracts a surface and answers it as a file, as `POST` does. The query has the same names: numbers, and objects and lists as JSON. `ETag` is that of the
-/// bytes, which are the same for the same request: a client that shows it in `If-None-Match` has nothing sent to it, and one that has a part
-/// of the file asks for the rest in `Range`.
+/// Extracts a surface and returns it as a file, as `POST` does. The query has the same names: numbers, and objects and lists as JSON.
+/// `ETag` identifies the bytes, which are the same for the same request: a client that sends it in `If-None-Match` gets no body if it has
+/// the file, and a client that has a part of the file requests the rest with `Range`.
 #[utoipa::path(
     get,
     path = "/api/v1/extract",
@@ -100,11 +100,11 @@ fn client_has(headers: &HeaderMap, digest: FileDigest) -> bool {
     params(
         ("volume" = String, Query, description = "Id of the volume, as `GET /api/v1/volumes` lists it"),
         ("format" = Format, Query, description = "File format"),
-        ("step" = Option<u32>, Query, description = "Time step; 0 where it is left out"),
+        ("step" = Option<u32>, Query, description = "Time step. Default: 0"),
         ("iso" = Option<f64>, Query, description = "The isovalue, and likewise any of the edit's names, each once: `alpha=0.5`, `triangles={\"share\":0.1}`"),
         ("if-none-match" = Option<String>, Header, description = "The `ETag` of a file that the client has"),
         ("range" = Option<String>, Header, description = "`bytes=FIRST-LAST`: a part of the file, which is not compressed"),
-        ("if-range" = Option<String>, Header, description = "The `ETag` of the file that the client has a part of: of another one all is sent"),
+        ("if-range" = Option<String>, Header, description = "The `ETag` of the file of which the client has a part. If it differs, the response is the whole file"),
         ("accept-encoding" = Option<String>, Header, description = "`zstd` or `gzip`: the body is compressed"),
     ),
     responses(
@@ -114,13 +114,13 @@ fn client_has(headers: &HeaderMap, digest: FileDigest) -> bool {
             body = File,
             content_type = "model/gltf-binary",
             headers(
-                ("etag" = String, description = "Of the bytes; strong"),
+                ("etag" = String, description = "Strong entity tag of the bytes"),
                 ("isopeel-statistics" = String, description = "The statistics, as JSON in ASCII"),
             ),
         ),
-        (status = 206, description = "A part of it", body = File, content_type = "application/octet-stream"),
-        (status = 304, description = "The client has it"),
-        (status = 400, description = "`bad-request`: an unknown or a missing name, one that is there twice, a wrong type", body = Problem, content_type = "application/problem+json"),
+        (status = 206, description = "The requested range of the file", body = File, content_type = "application/octet-stream"),
+        (status = 304, description = "The client has the file already"),
+        (status = 400, description = "`bad-request`: an unknown, missing or repeated name, or a value of the wrong type", body = Problem, content_type = "application/problem+json"),
         (status = 404, description = "`unknown-volume` or `unknown-step`", body = Problem, content_type = "application/problem+json"),
         (status = 413, description = "`too-large` for the host's memory", body = Problem, content_type = "application/problem+json"),
         (status = 416, description = "`bad-range`: beyond the end of the file", body = Problem, content_type = "application/problem+json"),

@@ -11,7 +11,7 @@ use tokio::runtime::Handle;
 use tokio::sync::mpsc;
 
 use super::spool::{Spool, SpoolFolder};
-use crate::export::{ExportError, MadeFile};
+use crate::export::{ExportError, FileContent};
 use crate::rest::content_encoding::ContentEncoding;
 
 /// Maximum bytes of a chunk of the body.
@@ -35,7 +35,7 @@ pub(super) enum Part {
 }
 
 /// Returns a body that sends a part of a file. Drops the permit together with the mesh, when all bytes are sent or spooled.
-pub(super) fn send(file: MadeFile, part: Part, permit: impl Send + 'static, spool: SpoolFolder) -> Body {
+pub(super) fn send(file: FileContent, part: Part, permit: impl Send + 'static, spool: SpoolFolder) -> Body {
     let patience = Patience {
         deadline: CHUNK_DEADLINE,
         spool_after: SPOOL_AFTER,
@@ -53,7 +53,7 @@ struct Patience {
 }
 
 fn send_with(
-    file: MadeFile,
+    file: FileContent,
     part: Part,
     permit: impl Send + 'static,
     spool_folder: SpoolFolder,
@@ -97,7 +97,7 @@ fn send_with(
 
 /// Writes a part of a file on a blocking thread, then sends the spooled bytes.
 async fn write_and_send(
-    (file, permit): (MadeFile, impl Send + 'static),
+    (file, permit): (FileContent, impl Send + 'static),
     part: Part,
     mut writer: ChunkWriter,
     chunks: &mpsc::Sender<Bytes>,
@@ -132,7 +132,7 @@ async fn send_spooled(mut spool: Spool, chunks: &mpsc::Sender<Bytes>, deadline: 
     }
 }
 
-fn write(file: &MadeFile, part: Part, out: impl Write) -> Result<(), ExportError> {
+fn write(file: &FileContent, part: Part, out: impl Write) -> Result<(), ExportError> {
     match part {
         Part::Whole(encoding) => encoding.write(out, |mut out| file.write(&mut out)),
         Part::Range([from, to]) => {
@@ -213,7 +213,7 @@ impl ChunkWriter {
     fn spool(&mut self, part: &[u8]) -> io::Result<()> {
         let spooled = match &mut self.spool {
             Some(spool) => spool.append(part),
-            None => self.spool_folder.begin().and_then(|mut spool| {
+            None => self.spool_folder.create_file().and_then(|mut spool| {
                 spool.append(part)?;
                 self.spool = Some(spool);
                 Ok(())
@@ -265,8 +265,8 @@ mod tests {
     const WHOLE: Part = Part::Whole(ContentEncoding::Identity);
 
     /// A file of some megabytes: more than the queue of chunks holds.
-    fn large_file(format: Format) -> MadeFile {
-        MadeFile::of_mesh(large_mesh(), format)
+    fn large_file(format: Format) -> FileContent {
+        FileContent::of_mesh(large_mesh(), format)
     }
 
     fn large_mesh() -> Mesh {
@@ -291,19 +291,19 @@ mod tests {
     async fn the_body_is_the_file_and_as_long_as_was_said() {
         let semaphore = Arc::new(Semaphore::new(1));
         for format in [Format::Glb, Format::Ply, Format::Stl] {
-            let (made, mut file) = (large_file(format), Vec::new());
-            made.write(&mut file).unwrap();
-            let digest = made.digest(&|| false).unwrap();
+            let (content, mut file) = (large_file(format), Vec::new());
+            content.write(&mut file).unwrap();
+            let digest = content.digest(&|| false).unwrap();
             assert_eq!(digest.bytes, file.len() as u64);
             assert_eq!(digest.hash, xxhash_rust::xxh3::xxh3_128(&file));
-            assert!(made.digest(&|| true).is_err(), "cancelled");
+            assert!(content.digest(&|| true).is_err(), "cancelled");
             let length = file.len() as u64;
             for [from, to] in [[0, length], [0, 1], [length - 1, length], [77, 5_000_000]] {
                 let mut part = Vec::new();
-                write(&made, Part::Range([from, to]), &mut part).unwrap();
+                write(&content, Part::Range([from, to]), &mut part).unwrap();
                 assert!(part == file[from as usize..to as usize], "{format:?}: {from} to {to}");
             }
-            let body = send(made, WHOLE, permit_of(&semaphore).await, SpoolFolder::default());
+            let body = send(content, WHOLE, permit_of(&semaphore).await, SpoolFolder::default());
             let bytes = axum::body::to_bytes(body, usize::MAX).await.unwrap();
             assert!(bytes == file, "{format:?}");
         }
@@ -357,10 +357,10 @@ mod tests {
         assert!(axum::body::to_bytes(body, usize::MAX).await.is_err());
         let all = vec![0; 1 << 20];
         assert!(
-            space.begin().unwrap().append(&all).is_ok(),
+            space.create_file().unwrap().append(&all).is_ok(),
             "what it took is free again"
         );
-        let mut spool = space.begin().unwrap();
+        let mut spool = space.create_file().unwrap();
         spool.append(&all).unwrap();
         let error = spool.append(&[0]).unwrap_err().to_string();
         assert!(error.contains("take 1048576 of 1048576 bytes"), "{error}");

@@ -46,7 +46,7 @@ impl SpoolFolder {
     }
 
     /// Creates an empty spool file.
-    pub(super) fn begin(&self) -> io::Result<Spool> {
+    pub(super) fn create_file(&self) -> io::Result<Spool> {
         Ok(Spool {
             file: tempfile::tempfile_in(&self.0.path)?,
             folder: self.clone(),

@@ -37,7 +37,7 @@ pub const LAST_EVENT_ID: HeaderName = HeaderName::from_static("last-event-id");
         (status = 400, description = "`bad-request`: a malformed id of an event", body = Problem, content_type = "application/problem+json"),
         (status = 404, description = "`unknown-job`", body = Problem, content_type = "application/problem+json"),
         (status = 501, description = "`jobs-off`", body = Problem, content_type = "application/problem+json"),
-        (status = 503, description = "`busy`: as many streams of events are open as may be", body = Problem, content_type = "application/problem+json"),
+        (status = 503, description = "`busy`: the maximum number of event streams is open", body = Problem, content_type = "application/problem+json"),
     ),
 )]
 pub(super) async fn events(
@@ -49,8 +49,8 @@ pub(super) async fn events(
     let jobs = state.jobs()?.clone();
     let Path(id) = id?;
     let after = last_event_id(&headers)?;
-    let seat = state.events.take(Occupant::from(&who));
-    let seat = seat.map_err(|refused| ApiError::busy(refused.to_string()))?;
+    let permit = state.events.acquire(Occupant::from(&who));
+    let permit = permit.map_err(|error| ApiError::busy(error.to_string()))?;
     let changes = jobs.changes();
     let (first_events, is_finished) = jobs.events(who.user(), &id, after).await?;
     if first_events.is_empty() && is_finished {
@@ -64,7 +64,7 @@ pub(super) async fn events(
         who,
         id,
         changes,
-        _seat: seat,
+        _permit: permit,
     };
     let events = futures_util::stream::unfold(event_stream, EventStream::next);
     Ok(Sse::new(events).keep_alive(KeepAlive::default()).into_response())
@@ -93,7 +93,7 @@ struct EventStream {
     /// Reason of the pause in the last event about a pause; `None` if the job is not paused by this event, or if there was none.
     paused: Option<String>,
     changes: watch::Receiver<()>,
-    _seat: Seat,
+    _permit: Seat,
 }
 
 impl EventStream {

@@ -56,9 +56,9 @@ impl ApiState {
     responses(
         (
             status = 201,
-            description = "It is queued",
+            description = "The job, which is queued",
             body = JobInfo,
-            headers(("location" = String, description = "Its path")),
+            headers(("location" = String, description = "Path of the job")),
             links(
                 ("show_job" = (operation_id = "show_job", parameters(("id" = "$response.body#/id")))),
                 ("show_job_results" = (operation_id = "show_job_results", parameters(("id" = "$response.body#/id")))),
@@ -66,7 +66,7 @@ impl ApiState {
                 ("remove_job" = (operation_id = "remove_job", parameters(("id" = "$response.body#/id")))),
             ),
         ),
-        (status = 200, description = "The job that this key and request made before", body = JobInfo),
+        (status = 200, description = "The job that an earlier request with the same key and body created", body = JobInfo),
         (status = 400, description = "`bad-json`, or `bad-request`: a malformed key", body = Problem, content_type = "application/problem+json"),
         (status = 404, description = "`unknown-volume` or `unknown-step`", body = Problem, content_type = "application/problem+json"),
         (status = 409, description = "`key-reused`: the key belongs to another request; or `input-changed`: the files are not those that the server opened", body = Problem, content_type = "application/problem+json"),
@@ -155,7 +155,7 @@ async fn manifest(
     Ok(Json(state.jobs()?.manifest(who.user(), &id?.0).await?))
 }
 
-/// Ends a batch job that is queued or running. What it has made stays.
+/// Cancels a batch job that is queued or running. The results that it has made are kept.
 #[utoipa::path(
     post,
     path = "/api/v1/jobs/{id}/cancel",
@@ -165,7 +165,7 @@ async fn manifest(
     responses(
         (status = 200, description = "The job, cancelled", body = JobInfo),
         (status = 404, description = "`unknown-job`", body = Problem, content_type = "application/problem+json"),
-        (status = 409, description = "`job-finished`: there is nothing to cancel", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "`job-finished`: the job is finished already", body = Problem, content_type = "application/problem+json"),
         (status = 501, description = "`jobs-off`", body = Problem, content_type = "application/problem+json"),
     ),
 )]
@@ -185,7 +185,7 @@ async fn cancel(
     tag = "jobs",
     params(("id" = String, Path, description = "A job's id")),
     responses(
-        (status = 204, description = "It is gone"),
+        (status = 204, description = "The job is removed"),
         (status = 404, description = "`unknown-job`", body = Problem, content_type = "application/problem+json"),
         (status = 409, description = "`job-not-finished`: cancel it first", body = Problem, content_type = "application/problem+json"),
         (status = 501, description = "`jobs-off`", body = Problem, content_type = "application/problem+json"),

@@ -20,7 +20,7 @@ use crate::rest::ranges::{RequestedRange, content_range};
 /// Header with the SHA-256 of a whole result, `Repr-Digest` (RFC 9530).
 pub const DIGEST_HEADER: HeaderName = HeaderName::from_static("repr-digest");
 
-/// The result of an extraction, from 0. One range is answered as such.
+/// The file of an extraction, or one range of it.
 #[utoipa::path(
     get,
     path = "/api/v1/jobs/{id}/results/{extraction}",
@@ -28,8 +28,8 @@ pub const DIGEST_HEADER: HeaderName = HeaderName::from_static("repr-digest");
     tag = "jobs",
     params(
         ("id" = String, Path, description = "A job's id"),
-        ("extraction" = u32, Path, description = "Which extraction, from 0"),
-        ("range" = Option<String>, Header, description = "`bytes=FIRST-LAST`"),
+        ("extraction" = u32, Path, description = "Number of the extraction, from 0"),
+        ("range" = Option<String>, Header, description = "`bytes=FIRST-LAST`: the requested range of the file"),
     ),
     responses(
         (
@@ -39,12 +39,12 @@ pub const DIGEST_HEADER: HeaderName = HeaderName::from_static("repr-digest");
             content_type = "model/gltf-binary",
             headers(
                 ("repr-digest" = String, description = "`sha-256=:BASE64:` of the whole file"),
-                ("etag" = String, description = "The same in hexadecimal"),
+                ("etag" = String, description = "SHA-256 of the file, in hexadecimal"),
             ),
         ),
-        (status = 206, description = "A part of it", body = File, content_type = "application/octet-stream"),
-        (status = 304, description = "The client has it: `If-None-Match`"),
-        (status = 400, description = "`bad-request`: no number of an extraction", body = Problem, content_type = "application/problem+json"),
+        (status = 206, description = "The requested range of the file", body = File, content_type = "application/octet-stream"),
+        (status = 304, description = "The client has the file already (`If-None-Match`)"),
+        (status = 400, description = "`bad-request`: the path has no valid number of an extraction", body = Problem, content_type = "application/problem+json"),
         (status = 404, description = "`unknown-job`, or `no-result`: it is not made yet, failed, or its surface is empty", body = Problem, content_type = "application/problem+json"),
         (status = 416, description = "`bad-range`: beyond the end of the file", body = Problem, content_type = "application/problem+json"),
         (status = 501, description = "`jobs-off`", body = Problem, content_type = "application/problem+json"),

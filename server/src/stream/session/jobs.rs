@@ -435,7 +435,7 @@ impl<B: Backend> Session<B> {
             key,
         };
         if let (NextJob::Rest(work), Phase::Resting(rest)) = (job, &mut session.phase) {
-            rest.begin();
+            rest.mark_queued();
             let (number, token) = (rest.generation, rest.token.clone());
             let request = request(rest.view.clone(), rest.key.clone());
             let span = self.id.trace(number).span();

@@ -1,4 +1,5 @@
-//! Work at rest, for a final surface that no edit follows: a better surface replaces it, if there is one, and then its error is measured.
+//! Work at rest: when no edit has arrived for [`REST_AFTER`] after a final surface, the server replaces the surface with a better one if
+//! possible, and then measures the error of the surface that is shown.
 
 use std::time::Duration;
 
@@ -12,7 +13,7 @@ use super::generation::Generation;
 /// Time without an edit after which a viewer counts as resting. It is longer than the time between two edits during a drag.
 pub(super) const REST_AFTER: Duration = Duration::from_millis(250);
 
-/// Work for a viewer that rests.
+/// Work at rest.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum RestWork {
     /// Make a better surface of the same view.
@@ -21,7 +22,7 @@ pub(super) enum RestWork {
     Measure,
 }
 
-/// A final surface whose viewer may rest. Dropping it cancels the work at rest.
+/// State of a committed final surface until the next edit: the work at rest that is still to be done. Dropping it cancels this work.
 pub(super) struct Rest {
     /// Number of the generation that has made the surface.
     pub generation: u32,
@@ -62,7 +63,7 @@ impl Rest {
     }
 
     /// Records that the work is queued.
-    pub(super) fn begin(&mut self) {
+    pub(super) fn mark_queued(&mut self) {
         self.is_queued = true;
     }
 

@@ -31,7 +31,7 @@ struct Entries {
 /// A cached step without its meshes and chunks.
 struct CachedStep {
     refinement: Refinement,
-    volume: Arc<DatasetKey>,
+    volume_key: Arc<DatasetKey>,
     regions: Vec<RegionMetadata>,
     /// The complete step, while a session still holds it.
     shared: Weak<SharedStep>,
@@ -62,16 +62,16 @@ impl ChunkCache {
         }
         let with_chunk = |region: &RegionMetadata| {
             let key = ChunkKey {
-                volume: Arc::clone(&entry.volume),
+                volume_key: Arc::clone(&entry.volume_key),
                 coords: region.coords,
-                hash: region.hash.order,
+                hash: region.hash.ordered,
             };
             Some((*region, entries.chunks.get(&key)?.clone()))
         };
         let regions = entry.regions.iter().map(with_chunk).collect::<Option<_>>()?;
         let step = Arc::new(SharedStep::from_cache(
             entry.refinement.clone(),
-            Arc::clone(&entry.volume),
+            Arc::clone(&entry.volume_key),
             regions,
         ));
         entry.shared = Arc::downgrade(&step);
@@ -79,11 +79,11 @@ impl ChunkCache {
     }
 
     pub(super) fn insert_step(&self, key: RequestKey, step: &Arc<SharedStep>) {
-        let (refinement, volume, regions) = step.metadata();
+        let (refinement, volume_key, regions) = step.metadata();
         let bytes = key.bytes() + size_of::<CachedStep>() + regions.len() * size_of::<RegionMetadata>();
         let cached = CachedStep {
             refinement,
-            volume,
+            volume_key,
             regions,
             shared: Arc::downgrade(step),
         };

@@ -41,7 +41,7 @@ pub(in crate::stream) struct SharedStep {
     /// The regions that have triangles.
     pub regions: Vec<SharedRegion>,
     /// Key of the volume. It is part of the cache key of a chunk, because another volume may have a mesh with the same hash.
-    volume: Arc<DatasetKey>,
+    volume_key: Arc<DatasetKey>,
 }
 
 /// A region of a [`SharedStep`].
@@ -68,7 +68,7 @@ pub(super) struct RegionMetadata {
 /// Cache key of a chunk: the hash of its mesh, within its volume.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub(in crate::stream) struct ChunkKey {
-    pub volume: Arc<DatasetKey>,
+    pub volume_key: Arc<DatasetKey>,
     pub coords: [u32; 3],
     pub hash: u64,
 }
@@ -86,7 +86,7 @@ impl SharedStep {
         volume: &VolumeStep,
         token: CancellationToken,
     ) -> Outcome<Arc<Self>> {
-        let volume = Arc::new(volume.dataset().key());
+        let volume_key = Arc::new(volume.dataset().key());
         let hashing = pool::run(move || {
             let mut refinement = refinement;
             let regions = std::mem::take(&mut refinement.surface.regions);
@@ -102,7 +102,7 @@ impl SharedStep {
             Ok(Self {
                 refinement,
                 regions,
-                volume,
+                volume_key,
             })
         });
         let step = hashing.await.map_err(|_| WorkError::Stopped).and_then(|step| step);
@@ -166,9 +166,9 @@ impl SharedStep {
 
     fn key_of(&self, region: &SharedRegion) -> ChunkKey {
         ChunkKey {
-            volume: Arc::clone(&self.volume),
+            volume_key: Arc::clone(&self.volume_key),
             coords: region.coords,
-            hash: region.hash.order,
+            hash: region.hash.ordered,
         }
     }
 
@@ -179,13 +179,17 @@ impl SharedStep {
             hash: region.hash,
             triangles: region.triangles,
         });
-        (self.refinement.clone(), Arc::clone(&self.volume), metadata.collect())
+        (
+            self.refinement.clone(),
+            Arc::clone(&self.volume_key),
+            metadata.collect(),
+        )
     }
 
     /// Restores a step from its [`Self::metadata`], with the chunks of its regions in the same order.
     pub(super) fn from_cache(
         refinement: Refinement,
-        volume: Arc<DatasetKey>,
+        volume_key: Arc<DatasetKey>,
         regions: Vec<(RegionMetadata, Bytes)>,
     ) -> Self {
         let cached = |(region, chunk): (RegionMetadata, Bytes)| SharedRegion {
@@ -199,7 +203,7 @@ impl SharedStep {
         Self {
             refinement,
             regions: regions.into_iter().map(cached).collect(),
-            volume,
+            volume_key,
         }
     }
 }
