@@ -144,7 +144,12 @@ impl Output {
                 file.persist(&self.path)?;
                 Ok(())
             }
-            None => io::stdout().write_all(bytes),
+            None => {
+                let mut stdout = io::stdout();
+                stdout.write_all(bytes)?;
+                // At its end the process would ignore an error of the bytes that are still buffered.
+                stdout.flush()
+            }
         };
         let path = self.path.clone();
         write().map_err(|source| OutputError::File { path, source })

@@ -387,8 +387,8 @@ async fn without_a_device_the_server_lives_and_says_what_it_cannot_do() {
 async fn more_exports_than_wait_are_told_to_come_back() {
     let state = ApiState {
         exports: ExportQueue::new(QueueLimits {
-            running: 1,
-            waiting: 0,
+            max_running: 1,
+            max_waiting: 0,
             ..EXPORTS
         }),
         ..state()

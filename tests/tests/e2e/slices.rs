@@ -55,6 +55,25 @@ fn slices_have_the_samples_of_the_file_and_say_where_they_lie() {
     }
 }
 
+#[test]
+fn a_small_slice_that_cannot_be_written_is_an_error() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = folder.path().join("ramp.npy");
+    ball::write_field(&file, [11, 7, 5], value);
+    let full = std::fs::File::options()
+        .write(true)
+        .open("/dev/full")
+        .expect("a device of Linux");
+    let output = std::process::Command::new(command::binary())
+        .args(["slice", file.to_str().expect("text"), "--axis", "z", "--index", "3"])
+        .args(["--format", "raw", "-o", "-"])
+        .stdout(full)
+        .output()
+        .expect("the binary starts");
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(!output.status.success() && said.contains("No space left"), "{said}");
+}
+
 /// Samples as they come.
 fn floats(body: &[u8]) -> Vec<f32> {
     let words = body.as_chunks().0;

@@ -28,7 +28,7 @@ impl Groups {
     /// # Errors
     /// [`GroupError::TooMany`] if no seat becomes free.
     pub(super) fn seat_for(&self, leader: &Leader) -> Result<Seat, GroupError> {
-        let no_seat = match self.seats.take(leader.who.clone()) {
+        let no_seat = match self.seats.acquire(leader.who.clone()) {
             Ok(seat) => return Ok(seat),
             Err(no_seat) => no_seat,
         };
@@ -45,7 +45,7 @@ impl Groups {
         if let Some((_, group)) = away.min_by_key(|(since, _)| *since) {
             self.end(group);
         }
-        self.seats.take(leader.who.clone()).map_err(GroupError::TooMany)
+        self.seats.acquire(leader.who.clone()).map_err(GroupError::TooMany)
     }
 
     /// Resumes the lead of a group on a new connection.
