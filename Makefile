@@ -32,7 +32,10 @@ help: ## what can be made
 # One person's workstation: no token on loopback. Elsewhere the address that is printed has one.
 NO_AUTH := $(if $(filter 127.% [::1]:%,$(LISTEN)),--no-auth)
 
-run: prerequisites-run release ## install what is missing, build, serve the demo (and DATA) on http://127.0.0.1:8417
+run: prerequisites-build ## install what is missing, build, serve the demo (and DATA) on http://127.0.0.1:8417
+	@# Both wait for the network.
+	@$(call beside,prerequisites-run,web-client)
+	@$(MAKE) --no-print-directory release
 	@$(if $(NO_AUTH),echo '$(NO_AUTH): every user of this machine may use this server; run $(BINARY) serve for one that asks for a token')
 	exec $(BINARY) serve $(NO_AUTH) --listen $(LISTEN) $(if $(UPLOADS),--uploads '$(UPLOADS)') $(if $(DEVICE),--device '$(DEVICE)') $(DATA)
 

@@ -55,7 +55,7 @@ impl OnDevice<'_> {
         self.job_times.time_without_pauses(start)
     }
 
-    /// Adds the stages of the job before its last pause to the surface's stages. If the job has built the pyramid, the pyramid's stages
+    /// Adds to the surface's stages those that the job ran before its last pause. If the job has built the pyramid, the pyramid's stages
     /// come first. Reports all stages to the observer.
     pub(crate) fn with_all_stages(&self, mut surface: Surface) -> Surface {
         let stages = &mut surface.statistics.stages;

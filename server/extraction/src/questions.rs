@@ -39,7 +39,7 @@ pub enum Question {
     Distribution(u32),
     /// How does the error depend on the number of triangles?
     Curve,
-    /// How far from the isosurface is each vertex, or the farthest point of the mesh around each vertex?
+    /// How far from the isosurface is each vertex? Or, by [`DistanceOf`]: how far is the farthest point of the mesh around it?
     VertexErrors(DistanceOf),
 }
 
@@ -101,7 +101,7 @@ impl Workspace {
             (Question::Curve, Some(shown)) => {
                 let by_error = shown.view.is_by_error();
                 let curve = self.with_shown_cut(volume, shown, context, |job, params, cut, cancel| {
-                    // If the full surface is within the budget, nothing has been merged.
+                    // There is no tolerance if the full surface is within the budget: nothing has been merged then, so it is 0.
                     let tolerance = by_error.then(|| params.tolerance.unwrap_or(0.0));
                     let params = CutParams {
                         tolerance,
@@ -142,6 +142,10 @@ impl Workspace {
             None => None,
             Some(shown) => self.with_shown_cut(volume, shown, context, |job, params, cut, _| {
                 let view = &shown.view;
+                // With `cap`, the volume of the surface is padded.
+                let Some(index) = index_inside(&job.index_space, job.volume.grid().dims, position) else {
+                    return Ok(None);
+                };
                 let nearest = job.engine.probe(job.volume, job.pyramid, params, index, Some(cut))?;
                 Ok(nearest.map(|nearest| NearestSurface {
                     distance: in_world(nearest.distance, job.smallest),

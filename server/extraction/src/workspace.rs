@@ -272,7 +272,7 @@ impl Workspace {
         )
     }
 
-    /// Resolves a view as [`Workspace::resolve`] does, and marks the fields of which its surface is made as used.
+    /// Resolves a view as [`Workspace::resolve`] does, and marks as used the fields of which its surface is made.
     ///
     /// # Errors
     /// [`JobError`]; [`WorkError::Edit`] if there is no isovalue to choose.

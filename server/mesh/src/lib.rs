@@ -406,7 +406,7 @@ impl Content {
 }
 
 /// Maximum bytes of a file in a ZIP without the headers of ZIP64.
-const MAX_SHORT_PART: u64 = u32::MAX as u64;
+const MAX_BYTES_WITHOUT_ZIP64: u64 = u32::MAX as u64;
 
 /// Bytes of rows that are buffered before they are written.
 const PIECE_BYTES: usize = 1 << 16;

@@ -8,7 +8,7 @@ use serde_json::json;
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipWriter};
 
-use super::{ExportError, MAX_SHORT_PART, Mesh, fits_u32};
+use super::{ExportError, MAX_BYTES_WITHOUT_ZIP64, Mesh, fits_u32};
 
 /// Number of positions that are written at once.
 const PIECE: usize = 1 << 12;
@@ -41,7 +41,7 @@ pub fn write(meshes: &[Mesh], out: &mut dyn Write) -> Result<(), ExportError> {
 fn start<W: Write + io::Seek>(package: &mut ZipWriter<W>, name: &str, bytes: u64) -> Result<(), ExportError> {
     let options = SimpleFileOptions::default()
         .compression_method(CompressionMethod::Stored)
-        .large_file(bytes > MAX_SHORT_PART);
+        .large_file(bytes > MAX_BYTES_WITHOUT_ZIP64);
     Ok(package.start_file(name, options).map_err(io::Error::from)?)
 }
 

@@ -9,7 +9,7 @@ use zip::{CompressionMethod, ZipWriter};
 use super::decimal::{Decimals, push_whole};
 use super::mesh::srgb_bytes;
 use super::xml::escaped;
-use super::{ExportError, MAX_SHORT_PART, Mesh, PIECE_BYTES, flush};
+use super::{ExportError, MAX_BYTES_WITHOUT_ZIP64, Mesh, PIECE_BYTES, flush};
 
 /// Compression level of deflate. The fastest one, because higher ones take three times as long to save a tenth of the bytes.
 const LEVEL: i64 = 1;
@@ -45,7 +45,7 @@ pub fn write(meshes: &[Mesh], compresses: bool, out: &mut dyn Write) -> Result<(
     let options = SimpleFileOptions::default()
         .compression_method(method)
         .compression_level(level)
-        .large_file(triangles.saturating_mul(TRIANGLE_BYTES) > MAX_SHORT_PART);
+        .large_file(triangles.saturating_mul(TRIANGLE_BYTES) > MAX_BYTES_WITHOUT_ZIP64);
     let mut package = ZipWriter::new_stream(out);
     package
         .start_file("[Content_Types].xml", options)

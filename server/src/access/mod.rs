@@ -1,7 +1,7 @@
 //! Authentication and authorization. The `gate` checks each request:
 //!
 //! - Its header `Host` names a host of this server (`host`).
-//! - It comes from a page of the server or of an allowed origin (`origin`).
+//! - It comes from a page of the server, from a page of an allowed origin, or from no page (`origin`).
 //! - It carries a `proof` of its sender (`identity`): a `token`, a session or a ticket. A token is the start token, a token of the state
 //!   folder (`named`, `watched`) or a delegated one (`delegated`). A session (`signed_in`) begins with a sign-in through an OpenID
 //!   Connect issuer (`oidc`, `sign_in`). A `ticket` is for a stream only; a page with a token or a session requests the ticket first.
@@ -35,7 +35,7 @@ use std::net::SocketAddr;
 use std::sync::Arc;
 
 pub use audit::{Audit, AuditError};
-pub use delegated::{DEFAULT_SECONDS as DEFAULT_LENT_SECONDS, DelegateError};
+pub use delegated::{DEFAULT_SECONDS as DEFAULT_DELEGATED_SECONDS, DelegateError};
 pub use host::PublicUrl;
 pub use identity::{Identity, OPERATOR};
 pub use named::{NamedToken, NewToken, TokenFile, TokenFileError};

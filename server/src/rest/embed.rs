@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use super::ApiState;
-use crate::access::{DEFAULT_LENT_SECONDS, DelegateError, Identity, Role};
+use crate::access::{DEFAULT_DELEGATED_SECONDS, DelegateError, Identity, Role};
 use crate::problem::{ApiError, Problem};
 
 /// Pages that may embed the viewer in a frame.
@@ -39,7 +39,7 @@ fn default_roles() -> Vec<Role> {
 }
 
 fn default_seconds() -> u64 {
-    DEFAULT_LENT_SECONDS
+    DEFAULT_DELEGATED_SECONDS
 }
 
 /// A token for a frame.

@@ -93,7 +93,7 @@ impl DeviceWorker {
                 continue;
             };
             match error {
-                JobError::TakesLong => length = Some(caller.long()),
+                JobError::TakesLong => length = Some(caller.length_if_long()),
                 error => self.prepare_retry(request.volume(), error, &mut retries, token).await?,
             }
             attempts -= 1;

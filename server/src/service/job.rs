@@ -13,8 +13,8 @@ use crate::metrics::{self, JobLabels};
 /// with the length [`Caller::long`].
 pub(super) fn length_of(request: &DeviceRequest, caller: Caller) -> Length {
     match request {
-        DeviceRequest::Extract(_) => caller.long(),
-        DeviceRequest::Measure(_) if caller == Caller::Request => caller.long(),
+        DeviceRequest::Extract(_) => caller.length_if_long(),
+        DeviceRequest::Measure(_) if caller == Caller::Request => caller.length_if_long(),
         DeviceRequest::Measure(_) | DeviceRequest::Improve(_) => Length::Rest,
         DeviceRequest::Ask(ask) if matches!(ask.question, Question::VertexErrors(_)) => Length::Rest,
         DeviceRequest::Compute(_) => Length::Field,

@@ -3,6 +3,7 @@
 
 use std::pin::Pin;
 use std::sync::Arc;
+use std::time::Instant;
 
 use isopeel_extraction::{
     BeginUpload, Compute, ContinueTable, ContinueUpload, DropUpload, FindResident, FinishUpload, HostMemory,
@@ -31,6 +32,7 @@ impl DeviceWorker {
     /// Makes a field resident. Loads are single-flight: callers of the same field wait for one load. If all callers leave, the load is
     /// cancelled, as [`FieldLoad::wait`] says.
     pub(super) async fn load(&self, volume: &VolumeStep, key: VolumeKey) -> Result<(), WorkError> {
+        let arrived = Instant::now();
         let load = self.shared.loads.get_or_insert(&key);
         let _waiting = load.wait();
         let guard = Arc::clone(&load.lock).try_lock_owned();
@@ -44,6 +46,9 @@ impl DeviceWorker {
             Ok(guard) => guard,
             Err(_) => Arc::clone(&load.lock).lock_owned().await,
         };
+        if let Some(error) = load.failure_since(arrived) {
+            return Err(error.into());
+        }
         let (worker, volume, task_key) = (self.clone(), volume.clone(), key.clone());
         let task_load = Arc::clone(&load);
         let task = tokio::spawn(async move {
@@ -109,12 +114,16 @@ impl DeviceWorker {
         }
         let permits = Arc::clone(&self.shared.loads.permits);
         let _permit = permits.acquire_owned().await.map_err(|_| WorkError::Stopped)?;
-        match self.transfer(volume, &key, &load.progress, purpose).await {
-            Err(WorkError::Unreadable(error)) if error.can_retry && load.restart() => {
-                self.transfer(volume, &key, &load.progress, purpose).await
-            }
-            outcome => outcome,
+        let mut outcome = self.transfer(volume, &key, &load.progress, purpose).await;
+        if matches!(&outcome, Err(WorkError::Unreadable(error)) if error.can_retry) && load.restart() {
+            outcome = self.transfer(volume, &key, &load.progress, purpose).await;
         }
+        if let Err(WorkError::Unreadable(error)) = &outcome
+            && !load.progress.is_cancelled()
+        {
+            load.fail(error);
+        }
+        outcome
     }
 
     /// Reads a field, uploads it, and makes its table of minima and maxima. If that fails, the partial upload is dropped.

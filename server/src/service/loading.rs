@@ -3,11 +3,11 @@
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use isopeel_extraction::{ALWAYS_DESCRIBED, HistogramCache, HistogramKey, VolumeKey, lock};
 use isopeel_view::{FeatureName, View};
-use isopeel_volumes::{Field, ReadProgress, VolumeStep};
+use isopeel_volumes::{Field, ReadError, ReadProgress, VolumeStep};
 use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
 
@@ -63,6 +63,8 @@ pub(super) struct FieldLoad {
     waiting: AtomicUsize,
     /// How often the last waiting caller has left.
     departures: AtomicUsize,
+    /// When the field was unreadable last, and why.
+    failure: Mutex<Option<(Instant, ReadError)>>,
 }
 
 /// Guard of a caller that waits for a load. Dropping the guard removes the caller.
@@ -81,6 +83,19 @@ impl FieldLoad {
         self.progress.restart();
         *token = CancellationToken::new();
         self.is_awaited()
+    }
+
+    /// Records that the field is unreadable.
+    pub(super) fn fail(&self, error: &ReadError) {
+        *lock(&self.failure) = Some((Instant::now(), error.duplicate()));
+    }
+
+    /// Returns the error of a load that has failed since `arrived`. So callers that waited for that load do not read the file again, one after
+    /// the other.
+    pub(super) fn failure_since(&self, arrived: Instant) -> Option<ReadError> {
+        let failure = lock(&self.failure);
+        let (_, error) = failure.as_ref().filter(|(when, _)| *when >= arrived)?;
+        Some(error.duplicate())
     }
 
     /// Returns the token of the running load.

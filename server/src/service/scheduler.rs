@@ -16,16 +16,17 @@ pub(super) enum Caller {
     /// A viewer. Its job waits if the queue is full, and stops before its next stage when the viewer is gone. Viewers have one job each, so
     /// that each has its turn.
     Viewer,
-    /// A request. Its job is refused if the queue is full, and stops before its next stage when the request is gone.
+    /// A REST request, a command or a batch job. Its job is refused if the queue is full, and stops before its next stage when this caller
+    /// is gone.
     Request,
-    /// A cache, which stores the result for other callers. The job waits if the queue is full, and is not cancelled with its caller. A load
-    /// is cancelled some time after its last caller is gone.
+    /// A cache, which stores the result for other callers. The job waits if the queue is full, and does not end with its
+    /// caller. Only a load or a computed field is cancelled, some time after the last caller that waits for it is gone.
     Cache,
 }
 
 impl Caller {
-    /// Returns the length of this caller's long jobs.
-    pub(super) fn long(self) -> Length {
+    /// Returns the length with which a job of this caller is queued if it takes long.
+    pub(super) fn length_if_long(self) -> Length {
         match self {
             Self::Request => Length::Export,
             Self::Viewer | Self::Cache => Length::Long,
@@ -118,7 +119,8 @@ pub(super) trait Job: Sized {
 
     fn run(self, state: &mut Self::State, queue: &mut Queue<Self>);
 
-    /// Whether the job may run while one of this length pauses. A cancelled job may too, because its viewer's next job waits for its end.
+    /// Whether the job may run while one of this length pauses. A cancelled job may too: it ends at once, and
+    /// releases the permit for which its viewer's next job waits.
     fn may_run(&self, length: Length) -> bool {
         self.length() < length || self.is_cancelled()
     }
@@ -130,7 +132,8 @@ type AfterJob<S> = Box<dyn Fn(&S)>;
 /// The waiting jobs.
 pub(super) struct Queue<J: Job> {
     waiting: mpsc::Receiver<J>,
-    /// Jobs that were received in a pause of a job but have no higher priority than that job: an export, or a job of a viewer at rest.
+    /// Jobs that were received in a pause of a job but have no higher priority than that job: a computation of a field, an
+    /// export, or a job of a viewer at rest.
     /// There are few, because [`Permits`] admits one such job of each length.
     deferred: Vec<J>,
     /// Called after each job, also after one that runs in a pause.
@@ -330,7 +333,7 @@ mod tests {
     }
 
     #[test]
-    fn a_job_that_is_cancelled_waits_for_no_longer_one() {
+    fn a_cancelled_job_runs_in_the_pause_of_a_job_of_higher_priority() {
         let log = run(|to| {
             let token = CancellationToken::new();
             let rest = token.clone();
@@ -350,7 +353,7 @@ mod tests {
     }
 
     #[test]
-    fn who_rests_waits_for_who_does_not() {
+    fn jobs_at_rest_wait_for_long_jobs() {
         let log = run(|to| {
             queue(to, Length::Long, |log, waiting| {
                 pausing(log, waiting, CancellationToken::new(), Length::Long)

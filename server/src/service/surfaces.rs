@@ -17,6 +17,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::scheduler::Caller;
 use super::worker::DeviceWorker;
+use crate::error::chain;
 use crate::pool;
 
 impl DeviceWorker {
@@ -187,8 +188,12 @@ impl DeviceWorker {
         if let Measuring::Within(limit) = work.measuring {
             // The time-out drops the future, which cancels the job.
             let error = self.measure_extraction(&extraction, volume, making, token);
-            if let Ok(error) = tokio::time::timeout(limit, error).await {
-                extraction.measured = error?;
+            match tokio::time::timeout(limit, error).await {
+                Ok(Ok(error)) => extraction.measured = error,
+                Ok(Err(error)) if error.is_cancelled() => return Err(error),
+                // The surface is valid without the figure.
+                Ok(Err(error)) => tracing::warn!(error = chain(&error), "the error of an export could not be measured"),
+                Err(_) => {}
             }
         }
         Ok(extraction)

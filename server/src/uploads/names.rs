@@ -36,7 +36,7 @@ pub enum NameError {
     #[error("files of 0 bytes in all, expected some samples")]
     Empty,
     /// The sum of the sizes overflows at this file, counted from 0.
-    #[error("file {0}: the sizes add up to more than 2⁶³ bytes")]
+    #[error("file {0}: the sizes add up to 2⁶³ bytes or more")]
     Size(usize),
     /// An invalid name.
     #[error("file {file}: {name:?}: {why}")]
@@ -96,7 +96,7 @@ fn fault(name: &str) -> Option<&'static str> {
     if name.is_empty() || name.len() > MAX_NAME_BYTES {
         Some("expected 1 to 1,000 bytes")
     } else if name.chars().any(is_hidden) {
-        Some("expected no control characters, and none that change how others are shown")
+        Some("expected no control characters, no invisible characters, and none that change the direction of text")
     } else if name.contains('\\') {
         Some("expected `/` between folders, and no `\\`")
     } else if parts.iter().any(|part| part.is_empty() || matches!(*part, "." | "..")) {
@@ -113,7 +113,7 @@ fn fault(name: &str) -> Option<&'static str> {
 /// Whether a character is invisible, or changes the direction in which other characters are displayed.
 fn is_hidden(c: char) -> bool {
     c.is_control()
-        || matches!(c, '\u{200b}'..='\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2060}'..='\u{2069}' | '\u{feff}' | '\u{fff9}'..='\u{fffb}')
+        || matches!(c, '\u{ad}' | '\u{61c}' | '\u{180e}' | '\u{e0000}'..='\u{e007f}' | '\u{200b}'..='\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2060}'..='\u{2069}' | '\u{feff}' | '\u{fff9}'..='\u{fffb}')
 }
 
 /// Returns the topmost folder that contains all files, if there is one.
@@ -155,6 +155,8 @@ mod tests {
             "a\u{1b}[2Jb",
             "gnp.\u{202e}mcd",
             "a\u{200b}b",
+            "a\u{61c}b",
+            "a\u{e0041}b",
         ] {
             let error = check(&files(&["ok", hostile])).unwrap_err();
             assert!(matches!(error, NameError::Name { file: 1, .. }), "{hostile:?}: {error}");

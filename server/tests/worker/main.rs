@@ -48,6 +48,8 @@ impl Source for Distance {
         self.loads.fetch_add(1, Ordering::Relaxed);
         progress.add(self.stored_bytes());
         if self.broken {
+            // A share that does not answer.
+            std::thread::sleep(Duration::from_millis(200));
             return Err(ReadError {
                 can_retry: false,
                 path: PathBuf::from("broken.nrrd"),
@@ -282,6 +284,16 @@ async fn what_goes_wrong_is_told_apart() {
         .expect_err("a broken file");
     assert_eq!(error.code(), "unreadable-volume");
     assert_eq!(error.to_string(), "broken.nrrd: data: 3 bytes, expected 64000");
+
+    // Callers that waited for the same load do not read the file again.
+    let before = broken.loads.load(Ordering::Relaxed);
+    let none = FeatureName::None;
+    let histogram = || worker.histogram(&volume, "broken", &none);
+    let (a, b, c) = tokio::join!(histogram(), histogram(), histogram());
+    for error in [a, b, c].map(|outcome| outcome.expect_err("a broken file")) {
+        assert_eq!(error.to_string(), "broken.nrrd: data: 3 bytes, expected 64000");
+    }
+    assert_eq!(broken.loads.load(Ordering::Relaxed) - before, 1);
 
     let error = worker
         .histogram(&volume, "absent", &FeatureName::None)

@@ -328,6 +328,13 @@ async fn positions_of_questions_and_regions_are_those_of_the_world() {
         }
     }
     assert!(!probe(&worker, &dataset, &plain, [0.0, 0.0, -0.01]).await.inside);
+    // A capped volume has a layer of samples more, and the same surface inside.
+    let capped = view(&dataset, r#"{"iso": 1, "beta": -1, "alpha": 0, "cap": true}"#);
+    let nearest = probe(&worker, &dataset, &capped, at[at.len() / 2]).await.nearest;
+    assert!(
+        nearest.as_ref().is_some_and(|nearest| nearest.distance < 1e-2),
+        "{nearest:?}"
+    );
 }
 
 /// A feature at a position of the world.

@@ -469,6 +469,18 @@ pub struct ReadError {
 }
 
 impl ReadError {
+    /// Returns a copy, for another caller that waited for the same file. Of the cause, it has kind and text.
+    pub fn duplicate(&self) -> Self {
+        let source = self.source.as_ref();
+        Self {
+            path: self.path.clone(),
+            field: self.field.clone(),
+            why: self.why.clone(),
+            can_retry: self.can_retry,
+            source: source.map(|source| std::io::Error::new(source.kind(), source.to_string())),
+        }
+    }
+
     /// An error in the file's content.
     pub fn new(path: &Path, field: impl Into<String>, why: impl Into<String>) -> Self {
         Self {

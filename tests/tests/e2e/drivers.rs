@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
+use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use tempfile::TempDir;
@@ -12,6 +13,9 @@ use crate::support::{http, process, server};
 
 /// Longest time until a workaround is found: kernels are compiled for it.
 const LIMIT: Duration = Duration::from_secs(240);
+
+/// Held while kernels are compiled for the workaround, which takes the processors a minute: the next test finds them compiled.
+static COMPILES_WORKAROUND: Mutex<()> = Mutex::new(());
 
 /// A driver that fails in one way, and an isopeel that has not seen it before.
 struct Broken {
@@ -264,6 +268,7 @@ fn a_volume_from_stdin_is_read_by_the_process_with_the_workaround() {
     if !broken.is_pocl() {
         return;
     }
+    let _compiles = COMPILES_WORKAROUND.lock().unwrap_or_else(PoisonError::into_inner);
     let [volume, temporary, output] =
         ["ball.npy", "temporary", "out/ball.stl"].map(|name| broken.folder.path().join(name));
     crate::support::ball::write(&volume);
@@ -296,6 +301,7 @@ fn a_server_whose_driver_fails_late_starts_again_with_a_workaround() {
     if !broken.is_pocl() {
         return;
     }
+    let _compiles = COMPILES_WORKAROUND.lock().unwrap_or_else(PoisonError::into_inner);
     let volume = broken.ball();
     let cache = broken.folder.path().join("cache");
     let environment = [

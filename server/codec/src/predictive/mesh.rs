@@ -5,7 +5,7 @@
 use super::super::chunk::WireVertex;
 use super::super::range_coder::length;
 
-/// Number of contexts of positions, which depend on the size of the triangle in front of the vertex.
+/// Number of contexts (probability models of the range coder) for positions. The size of the triangle in front of the edge selects one.
 pub(super) const SIZE_CONTEXTS: usize = 12;
 /// Number of contexts of a feature, which depend on the difference between both ends of the edge.
 pub(super) const DIFFERENCE_CONTEXTS: usize = 10;
@@ -70,7 +70,8 @@ impl Mesh {
         self.levels.push(level);
     }
 
-    /// Returns the context of the third vertex behind an edge, from the numbers of triangles at the edge's ends.
+    /// Returns the context for coding whether the third vertex behind an edge is new, right, left or another. It depends on the numbers of
+    /// triangles at the edge's ends.
     pub fn edge_context(&self, from: u32, to: u32) -> usize {
         usize::from(self.counts[from as usize]) + 8 * usize::from(self.counts[to as usize])
     }
@@ -113,7 +114,7 @@ impl Mesh {
 
 /// Predicts the position of the third vertex behind an edge, from the triangle in front of the edge.
 pub(super) struct VertexPrediction {
-    /// The position by the parallelogram rule.
+    /// The position by the parallelogram rule, with the new triangle three quarters as high as the one in front: (7(a + b) − 6o) / 8.
     pub parallelogram: [i32; 3],
     /// Context of positions, from the size of the triangle in front of the edge.
     pub size: usize,
@@ -127,7 +128,7 @@ impl VertexPrediction {
     pub fn new(mesh: &Mesh, from: u32, to: u32, opposite: u32) -> Self {
         let [a, b, o] = [from, to, opposite].map(|vertex| mesh.position(vertex));
         let edge = [0, 1, 2].map(|axis| (a[axis] - b[axis]).abs());
-        let height = [0, 1, 2].map(|axis| (a[axis] + b[axis] - 2 * o[axis]).abs());
+        let double_height = [0, 1, 2].map(|axis| (a[axis] + b[axis] - 2 * o[axis]).abs());
         let largest = |lengths: [i32; 3]| lengths.into_iter().max().unwrap_or_default();
         let [n, m] = [from, to].map(|vertex| mesh.unit_normal(vertex));
         let normal = [0, 1, 2].map(|axis| n[axis] + m[axis]);
@@ -139,15 +140,15 @@ impl VertexPrediction {
         }
         Self {
             parallelogram: [0, 1, 2].map(|axis| (7 * (a[axis] + b[axis]) - 6 * o[axis] + 4) >> 3),
-            size: length(largest(edge) + largest(height) / 2).min(SIZE_CONTEXTS - 1),
+            size: length(largest(edge) + largest(double_height) / 2).min(SIZE_CONTEXTS - 1),
             depth,
             normal,
             ends: [a, b],
         }
     }
 
-    /// Returns the coordinate along `depth` at which the vertex is in the plane of the edge and its normals, given the other two
-    /// coordinates in `position`.
+    /// Returns the coordinate along `depth` that the surface has at the other two coordinates of `position`: the mean of two planes, one
+    /// through each end of the edge, both perpendicular to the sum of the normals at the ends.
     pub fn in_plane(&self, position: [i32; 3]) -> i32 {
         let (n, depth) = (self.normal, self.depth);
         let (x, y) = ((depth + 1) % 3, (depth + 2) % 3);

@@ -20,7 +20,7 @@ pub struct Resolve {
     pub view: View,
 }
 
-/// Resolves a view, and marks the fields of which its surface is made as used. See [`Workspace::prepare`].
+/// Resolves a view, and marks as used the fields of which its surface is made. See [`Workspace::prepare`].
 #[derive(Clone)]
 pub struct Prepare {
     /// The volume.
