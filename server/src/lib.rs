@@ -17,6 +17,7 @@
 //! - [`cli`]: the commands of the binary.
 
 pub mod access;
+mod bounded_read;
 pub mod cli;
 mod clock;
 pub mod device;

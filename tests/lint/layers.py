@@ -89,7 +89,9 @@ LAYERS = {
         request
     """,
     "server/volumes/src": """
-        axis_scales beneath codec disk frame labels notices parallel private progress remote statistics step times turned vectors
+        disk
+        read_error
+        axis_scales beneath codec frame labels notices parallel private progress remote statistics step times turned vectors
         findings identity unpacked
         location
         numbered replaced stored testing
@@ -103,7 +105,7 @@ LAYERS = {
         watch
     """,
     "server/src": """
-        clock error metrics pool private_folder
+        bounded_read clock error metrics pool private_folder
         device problem
         service
         wire export access

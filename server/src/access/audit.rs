@@ -88,12 +88,12 @@ pub struct Audit(Arc<Shared>);
 #[derive(Debug)]
 struct Shared {
     commands: SyncSender<Command>,
-    notes: Arc<Notes>,
+    side_channel: Arc<SideChannel>,
 }
 
 /// State that the writer reads beside its queue, which may be full.
 #[derive(Debug, Default)]
-struct Notes {
+struct SideChannel {
     /// Number of dropped lines that no line has stated yet.
     lost: AtomicU64,
     /// Whether the writer must open the file again.
@@ -120,16 +120,16 @@ impl Audit {
             source,
         };
         let (commands, receiver) = mpsc::sync_channel(QUEUE);
-        let notes = Arc::default();
-        let writer = Writer::open(path, &notes).map_err(fail)?;
+        let side_channel = Arc::default();
+        let writer = Writer::open(path, &side_channel).map_err(fail)?;
         let thread = std::thread::Builder::new().name("audit".into());
         thread.spawn(move || writer.run(&receiver)).map_err(fail)?;
-        Ok(Self(Arc::new(Shared { commands, notes })))
+        Ok(Self(Arc::new(Shared { commands, side_channel })))
     }
 
     /// Opens the file again before the next line, after log rotation has moved it away.
     pub fn reopen(&self) {
-        self.0.notes.must_reopen.store(true, Ordering::Relaxed);
+        self.0.side_channel.must_reopen.store(true, Ordering::Relaxed);
         // If the queue is full, the writer is awake.
         let _ = self.0.commands.try_send(Command::Wake);
     }
@@ -151,7 +151,7 @@ impl Audit {
 
     fn write(&self, line: &Line<'_>) {
         if let Err(TrySendError::Full(_)) = self.0.commands.try_send(Command::Write(line.text())) {
-            self.0.notes.lost.fetch_add(1, Ordering::Relaxed);
+            self.0.side_channel.lost.fetch_add(1, Ordering::Relaxed);
         }
     }
 
@@ -168,7 +168,7 @@ impl Audit {
                 .map(|(user, token)| (user.into(), token.into())),
             peer: line.peer.map(counted_as),
         };
-        let is_first = lock(&self.0.notes.refusals).count(kind, Instant::now());
+        let is_first = lock(&self.0.side_channel.refusals).count(kind, Instant::now());
         if is_first {
             self.write(line);
         }
@@ -429,10 +429,10 @@ mod tests {
     #[test]
     fn a_disk_that_is_slow_holds_up_nobody_and_what_is_lost_is_counted() {
         let (commands, received) = mpsc::sync_channel(2);
-        let notes = Arc::<Notes>::default();
+        let side_channel = Arc::<SideChannel>::default();
         let audit = Audit(Arc::new(Shared {
             commands,
-            notes: Arc::clone(&notes),
+            side_channel: Arc::clone(&side_channel),
         }));
         for _ in 0..5 {
             audit
@@ -442,7 +442,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("audit");
         let old = folder.path().join("audit.1");
-        let writer = Writer::open(&path, &notes).unwrap();
+        let writer = Writer::open(&path, &side_channel).unwrap();
         std::fs::rename(&path, &old).unwrap();
         // The queue is full.
         audit.reopen();

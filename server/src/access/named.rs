@@ -3,7 +3,7 @@
 
 use std::collections::HashMap;
 use std::fs::{File, Metadata, OpenOptions};
-use std::io::{self, Read, Write};
+use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
@@ -13,6 +13,8 @@ use super::token::{Hash, Token, TokenError, cookie_value};
 use serde::{Deserialize, Serialize};
 use tempfile::NamedTempFile;
 
+use crate::bounded_read::read_bounded;
+
 const FILE: &str = "tokens.json";
 /// Name of the lock file. A process that changes the token file holds the lock.
 const LOCK: &str = "tokens.lock";
@@ -21,7 +23,7 @@ const VERSION: u32 = 1;
 /// Maximum number of tokens, some 400 bytes each, so that a file of [`MAX_FILE_BYTES`] can hold them.
 const MAX_TOKENS: usize = 1_000;
 /// Maximum bytes of the file.
-const MAX_FILE_BYTES: u64 = 1 << 20;
+const MAX_FILE_BYTES: usize = 1 << 20;
 /// Maximum characters of a user's name.
 const MAX_USER: usize = 64;
 
@@ -147,17 +149,13 @@ impl TokenFile {
     /// # Errors
     /// [`TokenFileError`]. A missing file is not an error, but an empty list.
     pub fn list(&self) -> Result<Vec<NamedToken>, TokenFileError> {
-        let mut text = Vec::new();
         let file = match File::open(&self.path) {
             Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
             other => other.map_err(|source| self.io(source))?,
         };
         self.check_mode(&file.metadata().map_err(|source| self.io(source))?)?;
-        let read = file.take(MAX_FILE_BYTES + 1).read_to_end(&mut text);
-        read.map_err(|source| self.io(source))?;
-        if text.len() as u64 > MAX_FILE_BYTES {
-            return Err(self.malformed(format!("more than {MAX_FILE_BYTES} bytes")));
-        }
+        let text = read_bounded(file, MAX_FILE_BYTES).map_err(|source| self.io(source))?;
+        let text = text.ok_or_else(|| self.malformed(format!("more than {MAX_FILE_BYTES} bytes")))?;
         let contents: Contents = serde_json::from_slice(&text).map_err(|error| self.malformed(error.to_string()))?;
         if contents.version != VERSION {
             return Err(self.malformed(format!("version {}", contents.version)));

@@ -15,6 +15,7 @@ use tempfile::NamedTempFile;
 
 use super::output::write_whole;
 use crate::access::{Token, TokenError};
+use crate::bounded_read::read_bounded;
 use crate::jobs::{Estimate, ExtractionState, JobInfo, JobState, MAX_REQUEST_BYTES, ManifestEntry};
 use client::Client;
 pub(super) use watch::bar as progress_bar;
@@ -219,7 +220,7 @@ async fn submit(client: &Client, file: &Path, key: Option<&str>, watch: bool) ->
 
 fn read_request(file: &Path) -> io::Result<Vec<u8>> {
     if file == Path::new("-") {
-        return read_bounded(io::stdin());
+        return read_request_bytes(io::stdin());
     }
     read_request_file(file)
 }
@@ -232,16 +233,12 @@ pub(super) fn read_request_file(file: &Path) -> io::Result<Vec<u8>> {
     if metadata.is_file() && metadata.len() > MAX_REQUEST_BYTES as u64 {
         return Err(too_long(&metadata.len().to_string()));
     }
-    read_bounded(file)
+    read_request_bytes(file)
 }
 
-fn read_bounded(from: impl Read) -> io::Result<Vec<u8>> {
-    let mut request = Vec::new();
-    from.take(MAX_REQUEST_BYTES as u64 + 1).read_to_end(&mut request)?;
-    if request.len() > MAX_REQUEST_BYTES {
-        return Err(too_long(&format!("more than {MAX_REQUEST_BYTES}")));
-    }
-    Ok(request)
+fn read_request_bytes(from: impl Read) -> io::Result<Vec<u8>> {
+    let request = read_bounded(from, MAX_REQUEST_BYTES)?;
+    request.ok_or_else(|| too_long(&format!("more than {MAX_REQUEST_BYTES}")))
 }
 
 fn too_long(bytes: &str) -> io::Error {

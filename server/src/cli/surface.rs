@@ -1,17 +1,18 @@
 //! Options of a surface and of its file, shared by all commands that make files.
 
 use std::fs::File;
-use std::io::{self, Read};
+use std::io;
 use std::path::{Path, PathBuf};
 
 use isopeel_kernels::MAX_LEVEL;
 use isopeel_view::quality::{Distance, MaxError, MesherName, TopologyName, TriangleBudget};
 use isopeel_view::{ChosenPartsJson, Edit, InterestJson, Outward, TransferFunctionJson, arguments, parse_position};
 
+use crate::bounded_read::read_bounded;
 use crate::export::{Compress, FileOptions, FileRequest, Format, SurfaceOptions};
 
 /// Maximum bytes of the file of a transfer function. 64 points take about 4 KiB.
-const MAX_TRANSFER_FUNCTION_BYTES: u64 = 1 << 20;
+const MAX_TRANSFER_FUNCTION_BYTES: usize = 1 << 20;
 
 /// Options of a surface and of its file. What is left out has the default of all exports.
 #[derive(Clone, Debug, Default, clap::Args)]
@@ -243,15 +244,12 @@ fn parse_surface(text: &str) -> Result<SurfaceOptions, serde_json::Error> {
 
 fn read_transfer_function(path: &Path) -> Result<TransferFunctionJson, TransferFunctionError> {
     let read = || {
-        let mut text = Vec::new();
-        File::open(path)?
-            .take(MAX_TRANSFER_FUNCTION_BYTES + 1)
-            .read_to_end(&mut text)?;
-        if text.len() as u64 > MAX_TRANSFER_FUNCTION_BYTES {
+        let text = read_bounded(File::open(path)?, MAX_TRANSFER_FUNCTION_BYTES)?;
+        let too_long = || {
             let why = format!("more than {MAX_TRANSFER_FUNCTION_BYTES} bytes");
-            return Err(io::Error::new(io::ErrorKind::FileTooLarge, why));
-        }
-        Ok(serde_json::from_slice(&text)?)
+            io::Error::new(io::ErrorKind::FileTooLarge, why)
+        };
+        Ok(serde_json::from_slice(&text.ok_or_else(too_long)?)?)
     };
     read().map_err(|source| TransferFunctionError {
         path: path.to_owned(),

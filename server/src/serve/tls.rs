@@ -1,6 +1,6 @@
 //! TLS of the server. Certificate and key are files, which the server can reload while it runs.
 
-use std::io::{self, Read};
+use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, PoisonError, RwLock};
 
@@ -8,6 +8,8 @@ use rustls::ServerConfig;
 use rustls::pki_types::pem::PemObject;
 use rustls::pki_types::{CertificateDer, PrivateKeyDer};
 use tokio_rustls::TlsAcceptor;
+
+use crate::bounded_read::read_bounded;
 
 /// Certificate and key of a server.
 #[derive(Debug)]
@@ -81,19 +83,15 @@ impl Tls {
 }
 
 /// Maximum bytes of a certificate or key file. Real ones have some kilobytes; the limit catches a wrong path.
-const MAX_FILE_BYTES: u64 = 1 << 20;
+const MAX_FILE_BYTES: usize = 1 << 20;
 
 fn read_file(path: &Path) -> io::Result<Vec<u8>> {
-    let mut text = Vec::new();
-    std::fs::File::open(path)?
-        .take(MAX_FILE_BYTES + 1)
-        .read_to_end(&mut text)?;
-    if text.len() as u64 > MAX_FILE_BYTES {
-        return Err(io::Error::other(format!(
+    let text = read_bounded(std::fs::File::open(path)?, MAX_FILE_BYTES)?;
+    text.ok_or_else(|| {
+        io::Error::other(format!(
             "it has more than {MAX_FILE_BYTES} bytes, expected a certificate or a key"
-        )));
-    }
-    Ok(text)
+        ))
+    })
 }
 
 fn read(certificate: &Path, key: &Path) -> Result<ServerConfig, TlsError> {

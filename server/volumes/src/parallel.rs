@@ -3,8 +3,9 @@
 //! The loop itself is compiled once, not for each type of sample: `rayon`'s generic iterators were a quarter of this crate's code.
 
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Mutex, OnceLock, PoisonError};
+use std::sync::{Mutex, OnceLock};
 
+use isopeel_kernels::lock;
 use rayon::prelude::*;
 
 /// Values of a task of [`for_each_row`]: enough that a task takes longer than its administration.
@@ -40,7 +41,7 @@ pub(super) fn try_map_items<T: Send, R: Send + Sync, E: Send + Sync>(
     task: impl Fn(T) -> Result<R, E> + Sync,
 ) -> Result<Vec<R>, E> {
     let items: Vec<_> = items.into_iter().map(|item| Mutex::new(Some(item))).collect();
-    let take = |number: usize| items[number].lock().unwrap_or_else(PoisonError::into_inner).take();
+    let take = |number: usize| lock(&items[number]).take();
     let results = try_map(items.len(), |number| take(number).map(&task).transpose())?;
     Ok(results.into_iter().flatten().collect())
 }
@@ -78,15 +79,8 @@ pub(super) fn try_for_each_chunk<T: Send, E: Send + Sync>(
     size: usize,
     task: impl Fn(usize, &mut [T]) -> Result<(), E> + Sync,
 ) -> Result<(), E> {
-    // Each chunk is locked once.
-    let chunks: Vec<_> = values.chunks_mut(size).map(Mutex::new).collect();
-    let count = chunks.len();
-    try_map(count, |number| {
-        task(
-            number,
-            &mut chunks[number].lock().unwrap_or_else(PoisonError::into_inner),
-        )
-    })?;
+    let chunks = values.chunks_mut(size).enumerate().collect();
+    try_map_items(chunks, |(number, chunk)| task(number, chunk))?;
     Ok(())
 }
 

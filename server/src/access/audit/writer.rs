@@ -8,14 +8,14 @@ use std::sync::atomic::Ordering;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender};
 use std::time::{Duration, Instant};
 
-use super::{COUNTING_PERIOD, Line, Notes, Outcome, WRITE_INTERVAL, lock, now};
+use super::{COUNTING_PERIOD, Line, Outcome, SideChannel, WRITE_INTERVAL, lock, now};
 
 /// A command to the writer.
 pub(super) enum Command {
     Write(Vec<u8>),
     /// Replies after all earlier lines were written.
     Flush(SyncSender<()>),
-    /// Makes the writer look at [`Notes`] at once.
+    /// Makes the writer look at [`SideChannel`] at once.
     Wake,
 }
 
@@ -30,21 +30,21 @@ fn open(path: &Path) -> io::Result<File> {
 pub(super) struct Writer {
     path: PathBuf,
     file: File,
-    notes: Arc<Notes>,
+    side_channel: Arc<SideChannel>,
     /// Whether an error was logged. Further errors are not logged until a write succeeds.
     error_logged: bool,
 }
 
 impl Writer {
-    /// Opens the file, or creates it. The writer adds lines that state the number of lost lines and the counts of refusals in `notes`.
+    /// Opens the file, or creates it. The writer adds lines that state the number of lost lines and the counts of refusals in `side_channel`.
     ///
     /// # Errors
     /// The file cannot be opened.
-    pub(super) fn open(path: &Path, notes: &Arc<Notes>) -> io::Result<Self> {
+    pub(super) fn open(path: &Path, side_channel: &Arc<SideChannel>) -> io::Result<Self> {
         Ok(Self {
             path: path.to_owned(),
             file: open(path)?,
-            notes: Arc::clone(notes),
+            side_channel: Arc::clone(side_channel),
             error_logged: false,
         })
     }
@@ -54,7 +54,7 @@ impl Writer {
         let mut counts_written = Instant::now();
         loop {
             let received = commands.recv_timeout(WRITE_INTERVAL);
-            if self.notes.must_reopen.swap(false, Ordering::Relaxed) {
+            if self.side_channel.must_reopen.swap(false, Ordering::Relaxed) {
                 self.reopen();
             }
             self.write_lost();
@@ -76,7 +76,7 @@ impl Writer {
 
     /// Writes the number of lines that were dropped since the last such line.
     fn write_lost(&mut self) {
-        let lost = self.notes.lost.swap(0, Ordering::Relaxed);
+        let lost = self.side_channel.lost.swap(0, Ordering::Relaxed);
         if lost > 0 {
             let line = serde_json::json!({"time": now(), "event": "lost", "count": lost});
             self.write(format!("{line}\n").as_bytes());
@@ -92,7 +92,7 @@ impl Writer {
 
     /// Writes the counts of the kinds whose first refusal was at least `age` ago.
     fn write_counts(&mut self, age: Duration) {
-        let counts = lock(&self.notes.refusals).take_due(Instant::now(), age);
+        let counts = lock(&self.side_channel.refusals).take_due(Instant::now(), age);
         for (kind, count) in counts {
             let who = kind.who.as_ref();
             let line = Line {
