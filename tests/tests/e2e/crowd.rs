@@ -260,29 +260,31 @@ const EDITS_OF_A_ROUND: usize = 2;
 /// device as any viewer has, plus the time of two turns of the device, each about 50 ms: without them an edit may take less than one turn.
 const MAX_RATIO: f64 = 4.0;
 const TWO_TURNS: Duration = Duration::from_millis(100);
-/// Time for which only the misbehaving clients run, after their initial burst, and the maximum share of a processor that all of them
-/// together may use then.
+/// Time for which only the misbehaving clients run, after their initial burst. All of them together may cost the server less processor
+/// time a second than an edit of the leader does: a ratio, because processors differ and are shared.
 const ALONE: Duration = Duration::from_secs(2);
-const MAX_PROCESSORS: f64 = 0.2;
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_crowd_goes_on_beside_those_who_stall_or_flood() {
     let Some(mut crowd) = Crowd::start().await else { return };
     crowd.edit(iso(0)).await;
     crowd.join(FOLLOWERS).await;
-    let (mut alone, mut beside, mut next) = (Vec::new(), Vec::new(), 1);
+    let (mut alone, mut beside, mut next, mut edits_cost) = (Vec::new(), Vec::new(), 1, 0.0);
     let mut isovalues = || {
         next += EDITS_OF_A_ROUND;
         (next - EDITS_OF_A_ROUND..next).map(iso)
     };
     for _ in 0..ROUNDS {
+        let before = crowd.server.cpu_seconds();
         alone.extend(crowd.edits(isovalues()).await);
+        edits_cost += crowd.server.cpu_seconds() - before;
         let mut others = JoinSet::new();
         (0..KINDS).for_each(|how| drop(others.spawn(misbehave(crowd.server.address, how))));
         tokio::time::sleep(PAUSE).await;
         beside.extend(crowd.edits(isovalues()).await);
     }
-    let processors = {
+    let edit_cost = edits_cost / (ROUNDS * EDITS_OF_A_ROUND) as f64;
+    let flood_cost = {
         let mut others = JoinSet::new();
         (0..KINDS).for_each(|how| drop(others.spawn(misbehave(crowd.server.address, how))));
         tokio::time::sleep(ALONE).await;
@@ -292,7 +294,8 @@ async fn a_crowd_goes_on_beside_those_who_stall_or_flood() {
     };
     let (alone, beside) = (percentile(&mut alone, 50), percentile(&mut beside, 50));
     println!(
-        "{FOLLOWERS} followers: p50 {alone:?}, beside those who stall or flood {beside:?}; these alone use {processors:.2} of a processor"
+        "{FOLLOWERS} followers: p50 {alone:?}, beside those who stall or flood {beside:?}; an edit takes {edit_cost:.2} s of a processor, a second of these \
+         alone {flood_cost:.2} s"
     );
     let metrics = crowd.metrics();
     assert_eq!(counted(&metrics, "isopeel_stream_errors_total", r#"code="busy""#), 0.0);
@@ -300,7 +303,10 @@ async fn a_crowd_goes_on_beside_those_who_stall_or_flood() {
         beside < alone.mul_f64(MAX_RATIO) + TWO_TURNS,
         "{beside:?} beside them, {alone:?} without"
     );
-    assert!(processors < MAX_PROCESSORS, "{processors:.2} processors");
+    assert!(
+        flood_cost < edit_cost,
+        "{flood_cost:.2} s a second, an edit {edit_cost:.2} s"
+    );
     // None of them has failed or left: each has seen each edit.
     crowd.end().await;
 }
