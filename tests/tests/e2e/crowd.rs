@@ -260,9 +260,12 @@ const EDITS_OF_A_ROUND: usize = 2;
 /// device as any viewer has, plus the time of two turns of the device, each about 50 ms: without them an edit may take less than one turn.
 const MAX_RATIO: f64 = 4.0;
 const TWO_TURNS: Duration = Duration::from_millis(100);
-/// Time for which only the misbehaving clients run, after their initial burst. All of them together may cost the server less processor
-/// time a second than an edit of the leader does: a ratio, because processors differ and are shared.
-const ALONE: Duration = Duration::from_secs(2);
+/// Time for the initial burst of the misbehaving clients, and then for which their cost is measured, both without edits.
+const BURST: Duration = Duration::from_secs(2);
+const ALONE: Duration = Duration::from_secs(4);
+/// Limit for the processor time that all of them together cost the server in a second, in edits of the leader: processors differ and are
+/// shared. On two cores it is about the 0.2 s that an absolute limit allowed.
+const MAX_FLOOD: f64 = 0.75;
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_crowd_goes_on_beside_those_who_stall_or_flood() {
@@ -287,15 +290,15 @@ async fn a_crowd_goes_on_beside_those_who_stall_or_flood() {
     let flood_cost = {
         let mut others = JoinSet::new();
         (0..KINDS).for_each(|how| drop(others.spawn(misbehave(crowd.server.address, how))));
-        tokio::time::sleep(ALONE).await;
+        tokio::time::sleep(BURST).await;
         let before = crowd.server.cpu_seconds();
         tokio::time::sleep(ALONE).await;
         (crowd.server.cpu_seconds() - before) / ALONE.as_secs_f64()
     };
     let (alone, beside) = (percentile(&mut alone, 50), percentile(&mut beside, 50));
     println!(
-        "{FOLLOWERS} followers: p50 {alone:?}, beside those who stall or flood {beside:?}; an edit takes {edit_cost:.2} s of a processor, a second of these \
-         alone {flood_cost:.2} s"
+        "{FOLLOWERS} followers: p50 {alone:?}, beside those who stall or flood {beside:?}; an edit takes {edit_cost:.2} s of a \
+         processor, a second of these alone {flood_cost:.2} s"
     );
     let metrics = crowd.metrics();
     assert_eq!(counted(&metrics, "isopeel_stream_errors_total", r#"code="busy""#), 0.0);
@@ -304,7 +307,7 @@ async fn a_crowd_goes_on_beside_those_who_stall_or_flood() {
         "{beside:?} beside them, {alone:?} without"
     );
     assert!(
-        flood_cost < edit_cost,
+        flood_cost < MAX_FLOOD * edit_cost,
         "{flood_cost:.2} s a second, an edit {edit_cost:.2} s"
     );
     // None of them has failed or left: each has seen each edit.
