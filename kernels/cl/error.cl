@@ -3,7 +3,7 @@
 //
 //   kernel            work-item              computes
 //   error_positions   a slot                 position of each slot's vertex
-//   error_leaves      a region, a corner     of a cut of the vertex tree: the vertex that replaces each slot's, positions of merged vertices;
+//   error_leaves      a block, a corner      of a cut of the vertex tree: the vertex that replaces each slot's, positions of merged vertices;
 //   error_corners                            the vertex of each corner
 //   error_link        a corner               for each slot its fan: a chain of the corners of triangles at its vertex
 //   error_seeds       a level-2 cube         a vertex in it that has triangles: a seed
@@ -65,7 +65,7 @@ void error_positions(const ErrorPositionsArgs args, __global const Region *regio
     }
 }
 
-// `stand_ins`: of cells and extra sheets. `offset_sums`: of tree_relax. One group a region.
+// `stand_ins`: of cells and extra sheets. `offset_sums`: of tree_relax. One group a block.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void error_leaves(const ErrorLeavesArgs args, __global const Region *regions, __global const TreeRegion *tree_regions,
                   __global const TreeNode *tree_nodes, __global const uint2 *offset_sums, __global const int4 *points,
@@ -73,16 +73,16 @@ void error_leaves(const ErrorLeavesArgs args, __global const Region *regions, __
     const uint group = (uint)get_group_id(0);
     __global const TreeRegion *tree = tree_regions + group;
     TreePoints own;
-    find_points(&own, regions + group, tree);
+    find_block_points(&own, regions, args.regions, tree_regions, group);
     for (uint i = get_local_id(0); i < own.count; i += GROUP) {
         const uint point = nth_point(own, i), slot = (uint)points[point].w;
         const uint leaf = leaf_number(leaves[point]);
         stand_ins[slot] = leaf < args.points ? slot : leaf == LEAF_REMOVED ? NONE : args.slots + leaf - args.points;
     }
     const float3 spacing = (float3)(args.grid.spacing[0], args.grid.spacing[1], args.grid.spacing[2]);
-    const int3 home = convert_int3(region_origin(args.grid, regions[group].region));
     for (uint i = get_local_id(0); i < tree->nodes; i += GROUP) {
         const TreeNode node = tree_nodes[tree->node_base + i];
+        const int3 home = tree_node_origin(args.grid, regions, node);
         const int3 at = moved_position(args.grid, args.cap, node, home, offset_sums[tree->node_base + i]);
         const float3 x = convert_float3(at + home * (int)VERTEX_LATTICE) / VERTEX_LATTICE;
         positions[args.slots + tree->node_base + i] = (float4)(x * spacing, length(spacing) * (float)(1u << tree_level(node.meta)));

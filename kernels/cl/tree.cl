@@ -12,7 +12,7 @@
 //   tree_gather    how many triangles have a corner in the region; then these triangles
 //   tree_collapse  the node that each triangle collapses with
 //   tree_corners   the corners of the full mesh at each point
-//   tree_lives     the rounds during which each leaf existed while the tree was built
+//   tree_lives     the rounds during which each leaf of a region existed while the tree was built
 
 #include "lib/precision.h"
 #include "lib/args.h"
@@ -83,7 +83,8 @@ inline bool any_corner_here(__global const uint *corners, __global const Region 
 #endif
 
 // A polygon is emitted in the region of the last of its cells, so triangles of a region are in its own mesh and in those of six
-// neighbours. `corners`: points of all triangles. `beside`: numbers of those of neighbours. `fill`: 0 counts, 1 writes.
+// neighbours. `corners`: points of all triangles. `beside`: numbers of those of neighbours. `fill`: 0 counts, 1 writes, 2 writes without
+// `beside`. The same holds in blocks of a level above, with clusters for points.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void tree_gather(const TreeGatherArgs args, __global const uint *region_index, __global const Region *regions,
                  __global const RegionMesh *meshes, __global const uint *corners, __global TreeRegion *tree_regions,
@@ -115,7 +116,7 @@ void tree_gather(const TreeGatherArgs args, __global const uint *region_index, _
             const uint to = found + scan_group(scratch, is_here, &total);
             for (uint i = 0; i < 3; i++)
                 if (is_here && args.fill) triangles[3 * (tree->triangle_base + to) + i] = corner[i];
-            if (is_here && args.fill && n) beside[tree->beside_base + to - own] = first + begin + lid;
+            if (is_here && args.fill == 1 && n) beside[tree->beside_base + to - own] = first + begin + lid;
             found += total;
         }
         if (n == 0) own = found;
@@ -173,7 +174,7 @@ void tree_corners(const uint points, __global const Region *regions, __global co
     barrier(CLK_GLOBAL_MEM_FENCE);
     for (uint k = lid; k < count; k += GROUP) {
         const uint point = corners[nth_corner(mesh, tree, beside, k)];
-        if (own_leaf_index(&own, 0, points, point) != NONE) add_global(&corner_ends[point], 1);
+        if (own_leaf_index(&own, 0, 0, points, point) != NONE) add_global(&corner_ends[point], 1);
     }
     barrier(CLK_GLOBAL_MEM_FENCE);
     uint before = 3 * (mesh.triangle_base + tree->beside_base), total;
@@ -188,8 +189,13 @@ void tree_corners(const uint points, __global const Region *regions, __global co
     // In any order.
     for (uint k = lid; k < count; k += GROUP) {
         const uint corner = nth_corner(mesh, tree, beside, k), point = corners[corner];
-        if (own_leaf_index(&own, 0, points, point) != NONE) point_corners[add_global(&corner_ends[point], 1)] = corner;
+        if (own_leaf_index(&own, 0, 0, points, point) != NONE) point_corners[add_global(&corner_ends[point], 1)] = corner;
     }
+}
+
+// The end of a life in a region that merging into `parent` ends. What merges in a level above has lived to the end.
+inline uchar life_before(__global const TreeRegion *tree, __global const uchar *lives, uint points, uint parent) {
+    return parent - tree->node_base < tree->nodes ? lives[life_begin(points + parent)] : ENDLESS_LIFE;
 }
 
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
@@ -206,11 +212,11 @@ void tree_lives(const uint points, __global const Region *regions, __global cons
     barrier(CLK_GLOBAL_MEM_FENCE);
     for (uint i = lid; i < tree->nodes; i += GROUP) {
         const uint parent = node_parents[tree->node_base + i];
-        lives[life_end(points + tree->node_base + i)] = parent == NONE ? ENDLESS_LIFE : lives[life_begin(points + parent)];
+        lives[life_end(points + tree->node_base + i)] = life_before(tree, lives, points, parent);
     }
     for (uint i = lid; i < count_points(own); i += GROUP) {
-        const uint point = nth_point(own, i), parent = point_parents[point];
+        const uint point = nth_point(own, i);
         lives[life_begin(point)] = 0;
-        lives[life_end(point)] = parent == NONE ? ENDLESS_LIFE : lives[life_begin(points + parent)];
+        lives[life_end(point)] = life_before(tree, lives, points, point_parents[point]);
     }
 }

@@ -1,5 +1,6 @@
-// tree_cut: cuts of the vertex tree (docs/algorithm.md#8-cuts-of-the-vertex-tree). One work-group a region. tree_test.cl tests a cut,
-// tree_mesh.cl makes its mesh.
+// tree_cut: cuts of the vertex tree (docs/algorithm.md#8-cuts-of-the-vertex-tree). One work-group a block. A launch has the blocks of one
+// level: nodes are weighed from the lowest level on, keys and leaves found from the highest one on. tree_test.cl tests a cut, tree_mesh.cl
+// makes its mesh.
 //
 //   kernel          writes
 //   tree_weigh      of each node the maximum importance of its points
@@ -24,18 +25,22 @@
 #include "lib/tree_leaf.h"
 #include "lib/tree_node.h"
 
-// `importances`: bits of floats of 0 or more, which are ordered as the floats are.
+// Raises the number of a node above one of `tree`. Other blocks raise those of levels above as well.
+inline void raise_node(__global const TreeRegion *tree, __global uint *numbers, uint node, uint value) {
+    if (node - tree->node_base < tree->nodes) max_global(&numbers[node], value);
+    else atomic_max(&numbers[node], value);
+}
+
+// `importances`: bits of floats of 0 or more, which are ordered as the floats are; cleared before the first level.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void tree_weigh(const TreeWeighArgs args, __constant float2 *transfer_points, __constant Interest *interests,
                 __global const Region *regions, __global const TreeRegion *tree_regions, __global const uint *node_parents,
                 __global const uint *round_ends, __global const uint *point_parents, __global const int4 *points,
                 __global const Node *nodes, __global uint *importances) {
-    const uint lid = get_local_id(0), group = (uint)get_group_id(0);
+    const uint lid = get_local_id(0), group = args.first_block + (uint)get_group_id(0);
     __global const TreeRegion *tree = tree_regions + group;
     TreePoints own;
-    find_points(&own, regions + group, tree);
-    for (uint i = lid; i < tree->nodes; i += GROUP) importances[tree->node_base + i] = 0;
-    barrier(CLK_GLOBAL_MEM_FENCE);
+    find_block_points(&own, regions, args.regions, tree_regions, group);
     for (uint i = lid; i < count_points(own); i += GROUP) {
         const uint point = nth_point(own, i), parent = point_parents[point];
         if (parent == NONE) continue;
@@ -43,27 +48,36 @@ void tree_weigh(const TreeWeighArgs args, __constant float2 *transfer_points, __
         const float own_importance = clamp(importance(args.params, transfer_points, node.s, node.f), 0.0f, 1.0f);
         const float3 at = convert_float3(points[point].xyz) / VERTEX_LATTICE;
         const float raised = raise_importance(own_importance, args.params.interests, interests, at, (float3)(0.0f));
-        max_global(&importances[parent], as_uint(raised));
+        raise_node(tree, importances, parent, as_uint(raised));
     }
     for (uint round = 0; round < tree->rounds; round++) {
         barrier(CLK_GLOBAL_MEM_FENCE);
         const uint end = round_end(round_ends, group, round);
         for (uint i = round_begin(round_ends, group, round) + lid; i < end; i += GROUP) {
             const uint at = tree->node_base + i, parent = node_parents[at];
-            if (parent != NONE) max_global(&importances[parent], importances[at]);
+            if (parent != NONE) raise_node(tree, importances, parent, importances[at]);
+        }
+    }
+    // A part vanishes as a whole: all its nodes here are as important as the topmost one.
+    for (uint round = group == args.vanishing ? tree->rounds : 0; round-- > 0;) {
+        barrier(CLK_GLOBAL_MEM_FENCE);
+        const uint end = round_end(round_ends, group, round);
+        for (uint i = round_begin(round_ends, group, round) + lid; i < end; i += GROUP) {
+            const uint at = tree->node_base + i, parent = node_parents[at];
+            if (parent != NONE) importances[at] = importances[parent];
         }
     }
 }
 
-// `weighted`: whether importances are read, or all weights are 1. `marked`: regions with new marks; the others keep their keys. `renewed`:
-// receives which regions do not.
+// `weighted`: whether importances are read, or all weights are 1. `marked`: blocks with new marks; the others keep their keys, unless one
+// above has new ones. `renewed`: receives which blocks do not.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
-void tree_keys(const uint weighted, __global const TreeRegion *tree_regions, __global const uint *node_errors,
+void tree_keys(const uint weighted, const uint first_block, __global const TreeRegion *tree_regions, __global const uint *node_errors,
                __global const uint *node_parents, __global const uint *round_ends, __global const uint *importances,
                __global const uchar *marks, __global uint *marked, __global uint *renewed, __global uint *keys) {
-    const uint lid = get_local_id(0), group = (uint)get_group_id(0);
+    const uint lid = get_local_id(0), group = first_block + (uint)get_group_id(0);
     __global const TreeRegion *tree = tree_regions + group;
-    const uint is_marked = marked[group];
+    const uint is_marked = marked[group] || (tree->above != NONE && renewed[tree->above]);
     barrier(CLK_GLOBAL_MEM_FENCE);
     if (lid == 0) {
         marked[group] = 0;
@@ -103,9 +117,9 @@ void tree_histogram(const TreeHistogramArgs args, __global const uint *keys, __g
 }
 
 // Finds the leaf of each merged node, from the top down, then of each point. `removed`: whether the part of a point is removed
-// (tree_part_remove); not read if `removes` is 0. `renewed`: regions whose keys differ from those of the previous cut; not read for the
-// first cut of a tolerance, which covers all regions. `tops`: for each node its leaf, or NONE if it is not merged. `changed`: region by
-// region, from TreeRegion::node_base on, the points whose leaf differs from that in the previous cut; `changed_counts`: how many.
+// (tree_part_remove); not read if `removes` is 0. `renewed`: blocks whose keys differ from those of the previous cut; not read for the
+// first cut of a tolerance, which covers all blocks. `tops`: for each node its leaf, or NONE if it is not merged. `changed`: region by
+// region, from TreeRegion::cluster_base on, the points whose leaf differs from that in the previous cut; `changed_counts`: how many.
 // `merged`: triangles that the merged nodes remove.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void tree_leaves(const TreeLeavesArgs args, __global const Region *regions, __global const TreeRegion *tree_regions,
@@ -114,11 +128,11 @@ void tree_leaves(const TreeLeavesArgs args, __global const Region *regions, __gl
                  __global const uint *renewed, __global uint *tops, __global uint *leaves, __global uint *changed,
                  __global uint *changed_counts, __global uint *merged) {
     __local uint all_merged, changed_count;
-    const uint lid = get_local_id(0), group = (uint)get_group_id(0), end_merged = end_key(args.tolerance);
+    const uint lid = get_local_id(0), group = args.first_block + (uint)get_group_id(0), end_merged = end_key(args.tolerance);
     const bool is_made = args.first || renewed[group];
     __global const TreeRegion *tree = tree_regions + group;
     TreePoints own;
-    find_points(&own, regions + group, tree);
+    find_block_points(&own, regions, args.regions, tree_regions, group);
     if (lid == 0) all_merged = changed_count = 0;
     barrier(CLK_LOCAL_MEM_FENCE);
     uint own_merged = 0;
@@ -144,7 +158,7 @@ void tree_leaves(const TreeLeavesArgs args, __global const Region *regions, __gl
         if (args.removes && removed[point]) leaf = LEAF_REMOVED;
         leaf = changed_leaf(leaf, args.first ? leaf : leaves[point]);
         leaves[point] = leaf;
-        if (leaf & LEAF_CHANGED) changed[tree->node_base + add_local(&changed_count, 1)] = i;
+        if (leaf & LEAF_CHANGED) changed[tree->cluster_base + add_local(&changed_count, 1)] = i;
     }
     add_local(&all_merged, own_merged);
     barrier(CLK_LOCAL_MEM_FENCE);
@@ -154,7 +168,7 @@ void tree_leaves(const TreeLeavesArgs args, __global const Region *regions, __gl
 }
 
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
-void tree_sum(const uint points, __global const Region *regions, __global const TreeRegion *tree_regions,
+void tree_sum(const uint points, const uint region_count, __global const Region *regions, __global const TreeRegion *tree_regions,
               __global const uint *node_errors, __global const uchar *node_levels, __global const uint *tops,
               __global const uint *leaves, __global TreeCutRegion *sums) {
     __local uint counts[6];
@@ -162,7 +176,7 @@ void tree_sum(const uint points, __global const Region *regions, __global const 
     const uint lid = get_local_id(0), group = (uint)get_group_id(0);
     __global const TreeRegion *tree = tree_regions + group;
     TreePoints own;
-    find_points(&own, regions + group, tree);
+    find_block_points(&own, regions, region_count, tree_regions, group);
     for (uint i = lid; i < 6; i += GROUP) counts[i] = 0;
     barrier(CLK_LOCAL_MEM_FENCE);
     float error2 = 0.0f, worst = 0.0f;

@@ -107,6 +107,7 @@ void tree_index(const uint points, __global const Region *regions, __global cons
     LeafNumbers of;
     find_points(&of.own, regions + group, tree_regions + group);
     of.node_base = tree_regions[group].node_base;
+    of.nodes = tree_regions[group].nodes;
     of.points = points;
     of.own_numbers = own_numbers;
     of.other_leaves = table_leaves + table_bases[group];
@@ -168,7 +169,7 @@ void tree_vertices(const TreeVerticesArgs args, __global const uint *region_inde
             at = point.xyz - origin * (int)VERTEX_LATTICE;
         } else {
             const TreeNode merged = tree_nodes[leaf - args.points];
-            const int3 home = convert_int3(region_origin(grid, regions[tree_node_region(merged.meta)].region));
+            const int3 home = tree_node_origin(grid, regions, merged);
             node.s = (float)(merged.normal_s >> 16) / 65535.0f;
             node.f = merged.f;
             normal = merged.normal_s & 0xffffu;

@@ -17,7 +17,7 @@
 // What a work-group reads of the tree, the full mesh and the cut, and the sums that it adds to.
 typedef struct {
     Grid grid;
-    uint group, point_count;
+    uint point_count, first_above;
     int3 origin; // of the region
     CutView cut;
     __global const Region *regions;
@@ -42,10 +42,7 @@ INLINED int3 point_position(const RelaxedCut *in, uint point) { return in->point
 INLINED int3 leaf_position(const RelaxedCut *in, uint leaf) {
     if (leaf < in->point_count) return point_position(in, leaf);
     const TreeNode node = in->nodes[leaf - in->point_count];
-    const uint region = tree_node_region(node.meta);
-    const int3 at = tree_position(node);
-    if (region == in->group) return at;
-    return at + (convert_int3(region_origin(in->grid, in->regions[region].region)) - in->origin) * (int)VERTEX_LATTICE;
+    return tree_position(node) + (tree_node_origin(in->grid, in->regions, node) - in->origin) * (int)VERTEX_LATTICE;
 }
 
 // Adds an offset to the sums of a triangle's nodes. Only this work-group adds to the first sum of the region's own nodes.
@@ -54,8 +51,14 @@ INLINED void add_offset_around(const RelaxedCut *in, const CutTriangle *triangle
     for (uint k = 0; k < 3; k++) {
         if (leaves[k] < in->point_count) continue;
         const uint node = leaves[k] - in->point_count;
-        if (node - in->tree->node_base < in->tree->nodes) add_global(&in->sums[2 * node], pack_offset(offset));
-        else atomic_add(&in->sums[2 * node + 1], pack_offset(offset));
+        if (leaves[k] >= in->first_above) {
+            atomic_inc(&in->sums[2 * node]);
+            atomic_add(&in->sums[2 * node + 1], (uint)offset);
+        } else if (node - in->tree->node_base < in->tree->nodes) {
+            add_global(&in->sums[2 * node], pack_offset(offset));
+        } else {
+            atomic_add(&in->sums[2 * node + 1], pack_offset(offset));
+        }
     }
 }
 
@@ -123,8 +126,8 @@ void tree_offsets(const TreeOffsetsArgs args, __global const Region *regions, __
     const uint group = (uint)get_group_id(0);
     RelaxedCut in;
     in.grid = args.grid;
-    in.group = group;
     in.point_count = args.points;
+    in.first_above = args.first_above;
     in.origin = convert_int3(region_origin(args.grid, regions[group].region));
     in.cut.corners = corners;
     in.cut.leaves = leaves;

@@ -60,11 +60,13 @@ INLINED void set_own(OwnLeaves *own, const TreeTestArgs args, __global const Reg
                      __local uint *local_around, __global uint *around) {
     find_points(&own->points, region, tree);
     own->node_base = tree->node_base;
+    own->nodes = tree->nodes;
     own->first_node = args.points;
+    own->first_above = args.first_above;
     own->cell_points = args.cell_points;
     own->is_local = false;
     own->local_around = local_around;
-    own->global_around = around + 2 * tree->node_base;
+    own->global_around = around + 2 * tree->cluster_base;
 }
 
 INLINED void set_point_corners(PointCorners *at, __global const uint *numbers, __global const uint *ends, uint list_base) {
@@ -129,7 +131,7 @@ void tree_test(const TreeTestArgs args, __global const Region *regions, __global
     EdgeTable table;
     set_table(&table, &cut, group, base, edges, local_edges);
     clear_edges(&table, 3 * count + 1);
-    Faults faults = {tree_nodes, lives, marks, marked, false};
+    Faults faults = {tree_regions, tree_nodes, lives, marks, marked, false};
     barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
     for (uint i = lid; i < count; i += WIDE_GROUP) {
         CutTriangle triangle;
@@ -180,6 +182,7 @@ INLINED void test_changed(const CutView *cut, const OwnLeaves *own, const EdgeTa
             if (!triangle_at(&triangle, cut, corner)) continue;
             TestedCorner a, b, c;
             find_corner(&a, own, faults, triangle.a);
+            if (a.index == NONE) continue; // of a level above
             find_corner(&b, own, faults, triangle.b);
             count_corner(own, faults, &a, triangle.b, triangle.c);
             test_edge(own, table, faults, corner, &a, &b);
@@ -201,7 +204,7 @@ INLINED bool mark_broken_changed(const CutView *cut, const OwnLeaves *own, Fault
             is_any_point = true;
             continue;
         }
-        mark_leaf(faults->tree_nodes, own->first_node, leaf, faults->marks, faults->marked);
+        mark_leaf(faults, own->first_node, leaf);
         faults->any = true;
     }
     return is_any_point;
@@ -229,7 +232,7 @@ void tree_retest(const TreeTestArgs args, __global const uint *region_index, __g
     set_own(&own, args, regions + group, tree, no_around, around);
     PointCorners at;
     set_point_corners(&at, point_corners, corner_ends, base);
-    const ChangedPoints of = {changed + tree->node_base, found ? changed_counts[group] : 0};
+    const ChangedPoints of = {changed + tree->cluster_base, found ? changed_counts[group] : 0};
     if (lid == 0) {
         changed_corners = 0;
         recounts = found ? broken[group] : 0;
@@ -242,7 +245,7 @@ void tree_retest(const TreeTestArgs args, __global const uint *region_index, __g
     set_table(&table, &cut, group, base, edges, local_edges);
     // Two edges per corner of changed points, but at most all edges of the region's lists.
     clear_edges(&table, min(2 * changed_corners, 3 * (mesh->triangles[0] + tree->beside_count)) + 1);
-    Faults faults = {tree_nodes, lives, marks, marked, false};
+    Faults faults = {tree_regions, tree_nodes, lives, marks, marked, false};
     barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
     test_changed(&cut, &own, &table, &faults, &at, &of);
     barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);

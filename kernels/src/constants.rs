@@ -122,6 +122,14 @@ constants! {
 
     /// Rounds of merges in which a block of the vertex tree is built at most.
     TREE_ROUNDS: u32 = 64;
+    /// Level of the vertex tree's nodes of larger cubes, too.
+    MAX_CUBE_LEVEL: u32 = 5;
+    /// Flag of a node that is on the surface's border on the volume's faces.
+    NODE_BORDER: u32 = 8;
+    /// The same of a cluster.
+    CLUSTER_BORDER: u32 = 8;
+    /// Flag beside a node's error or key, in its sign bit: the merge removes one triangle instead of two.
+    KEY_SINGLE: u32 = 0x8000_0000;
     /// Bins of `fit`, with one for what lies before them and one for what lies behind.
     FIT_BINS: u32 = 2562;
 

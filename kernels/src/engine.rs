@@ -22,8 +22,10 @@ pub(crate) mod query;
 mod table;
 mod tree;
 mod tree_cut;
+mod tree_levels;
 mod tree_part;
 pub(crate) mod tree_refine;
+mod tree_vanish;
 pub(crate) mod upload;
 pub(crate) mod vertex_distances;
 

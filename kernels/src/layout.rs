@@ -61,10 +61,11 @@ layout! {
     WorkVertex { position: [i32; 3], key: u32 }
     /// A vertex as it leaves the device; the same bytes as [`crate::Vertex`].
     Vertex { position: [i32; 3], normal: u32, attributes: u32 }
-    /// Ranges of the vertex tree in a region.
+    /// Ranges of the vertex tree in a block: a region, or a block of a level above.
     TreeRegion {
         border_base: u32, border_points: u32, triangle_count: u32, triangle_base: u32, cluster_base: u32, node_base: u32, nodes: u32,
-        rounds: u32, beside_count: u32, beside_base: u32, area: f32,
+        rounds: u32, beside_count: u32, beside_base: u32, area: f32, points: u32, region: u32, above: u32, clusters: u32, idle: u32, fresh: u32,
+        is_done: u32,
     }
     /// A cluster of points while the vertex tree is built.
     TreeCluster { quadric: Quadric, ring_first: u32, ring_count: u32 }
@@ -72,7 +73,7 @@ layout! {
     TreeMembers { normal: [f32; 3], s: f32, f: f32, node: u32, extent: u32, changes: u32 }
     /// A merge of two clusters of points.
     TreeNode { position: [u32; 2], normal_s: u32, f: f32, meta: u32 }
-    /// Sums over a region's leaves of a cut of the vertex tree.
+    /// Sums over a block's leaves of a cut of the vertex tree.
     TreeCutRegion { leaves: [u32; 6], error2: f32, worst: f32 }
     /// Sums over the removed parts in a region, and the area of the remaining ones.
     TreePartSum { parts: u32, triangles: u32, full_triangles: u32, area_left: f32 }

@@ -100,6 +100,8 @@ pub struct SurfaceStatistics {
     pub mesher_triangles: Option<u64>,
     /// Removed parts; `None` if no removal was requested.
     pub removed: Option<RemovedParts>,
+    /// Number of parts that decimation has made vanish ([`crate::TreeGoal::may_vanish`]).
+    pub vanished_parts: u64,
     /// Cells that the surface crosses.
     pub active_cells: u64,
     /// Leaves of the cut at each level, 0 (finest) first.

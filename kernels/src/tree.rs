@@ -4,6 +4,7 @@ use crate::buffer::Buffer;
 use crate::layout::{RegionMesh, TreeNode, TreeRegion};
 use crate::lock::lock;
 use crate::{CutParams, Pyramid, RemovedParts};
+use std::ops::Range;
 use std::sync::{Arc, Mutex, OnceLock};
 
 /// A hierarchy over the vertices of a pyramid's full dual mesh (`docs/algorithm.md#7-vertex-tree`). If tolerance, budget or importance
@@ -13,7 +14,12 @@ pub struct VertexTree {
     pub(crate) pyramid: u64,
     /// Whether the pyramid's volume is padded by a sample on each side.
     pub(crate) cap: bool,
-    pub(crate) host_regions: Vec<TreeRegion>,
+    /// Ranges of the tree in each region, then in the blocks of the levels above.
+    pub(crate) blocks: Vec<TreeRegion>,
+    /// The blocks of each level; those of the first one are the regions.
+    pub(crate) block_levels: Vec<Range<usize>>,
+    /// The last block, if its nodes are those at which small parts vanish.
+    pub(crate) vanishing: Option<usize>,
     pub(crate) built: Built,
     /// Position of each point in the volume, 1/2048 cell, and its slot.
     pub(crate) points: Buffer<[i32; 4]>,
@@ -65,6 +71,8 @@ pub struct TreeGoal {
     pub max_tolerance: f32,
     /// Parts that are left out before the cut.
     pub without: PartFilter,
+    /// Whether small parts may vanish: they do where their size is below the tolerance.
+    pub may_vanish: bool,
 }
 
 /// Parts of the surface that are chosen by positions, in cells: each chooses the part of the vertex that [`crate::Engine::probe`] finds
@@ -142,10 +150,32 @@ pub(crate) struct LeftOut {
     pub area_left: f64,
 }
 
+/// The levels of a tree.
+pub(crate) struct TreeLevels {
+    pub built: Built,
+    /// As in [`VertexTree`].
+    pub blocks: Vec<TreeRegion>,
+    pub block_levels: Vec<Range<usize>>,
+    pub vanishing: Option<usize>,
+}
+
+impl TreeLevels {
+    /// Numbers the points of each region, once no launch's working memory is needed.
+    pub fn number_points(&mut self) {
+        let mut points = 0;
+        for block in &mut self.blocks[..self.block_levels[0].end] {
+            block.cluster_base = points;
+            points += block.points;
+        }
+    }
+}
+
 /// Buffers of the built nodes.
 pub(crate) struct Built {
-    /// Ranges of the tree in each region.
+    /// Ranges of the tree in each block.
     pub regions: Buffer<TreeRegion>,
+    /// How many nodes there are: fewer than the buffers have space for.
+    pub node_count: u32,
     pub nodes: Buffer<TreeNode>,
     /// Their errors, as keys (`cl/lib/tree_key.h`).
     pub node_errors: Buffer<u32>,
@@ -155,8 +185,14 @@ pub(crate) struct Built {
     pub node_parents: Buffer<u32>,
     /// The same of each point.
     pub point_parents: Buffer<u32>,
-    /// Of each region, nodes after each round.
+    /// Of each block, nodes after each round.
     pub round_ends: Buffer<u32>,
+}
+
+/// How far relaxation may move a node, smallest spacings: half of the root mean square distance of the planes below it, by area, or 0.04
+/// if that is more; to 3 per cent (`cl/lib/tree_node.h`).
+pub(crate) fn max_move(node: &TreeNode) -> f32 {
+    f32::from_bits(0.04f32.to_bits() + ((node.position[1] >> 19 & 511) << 18))
 }
 
 impl VertexTree {
@@ -199,6 +235,26 @@ impl VertexTree {
 
     pub(crate) fn point_count(&self) -> u32 {
         self.points.len() as u32
+    }
+
+    /// Leaves before those that are nodes of levels above the regions.
+    pub(crate) fn first_above(&self) -> u32 {
+        let regions = &self.blocks[..self.block_levels[0].end];
+        self.point_count() + regions.iter().map(|region| region.nodes).sum::<u32>()
+    }
+
+    /// Nodes of levels above the regions, without those at which parts vanish.
+    pub(crate) fn nodes_above(&self) -> u32 {
+        let vanishing = self.vanishing_nodes().len() as u32;
+        self.point_count() + self.built.node_count - vanishing - self.first_above()
+    }
+
+    /// Nodes at which parts vanish.
+    pub(crate) fn vanishing_nodes(&self) -> Range<usize> {
+        self.vanishing.map_or(0..0, |block| {
+            let of = &self.blocks[block];
+            of.node_base as usize..(of.node_base + of.nodes) as usize
+        })
     }
 
     /// Points and nodes.

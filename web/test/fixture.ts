@@ -370,6 +370,7 @@ export function statistics(triangles: number): Statistics {
     removedParts: null,
     removedTriangles: null,
     unmatchedPositions: null,
+    vanishedParts: 0,
     activeCells: 2 * triangles,
     leaves: [0, 0, 0, 0, 0, 0],
     triangles,

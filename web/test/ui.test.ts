@@ -277,7 +277,7 @@ describe("the slider of detail", () => {
     const both = { error: "0.1vx", triangles: { share: 0.25 } };
     expect(limits(both, { tolerance: 0.1 })[0]).toMatchObject({ lift: { edit: { triangles: { share: 0.25 } } } });
     expect(limits(both, { tolerance: 3 })[0]).toMatchObject({ lift: { edit: { error: "0.1vx" } } });
-    expect(limits(both, { tolerance: 3, gaveWay: ["max-error", "topology"] })[0]?.text).toBe(
+    expect(limits(both, { tolerance: 3, gaveWay: ["max-error", "topology"], vanishedParts: null })[0]?.text).toBe(
       "0.1 voxels needs more triangles. Error ≈ 0.05 voxels (RMS). Topology not kept: the budget is too small",
     );
     expect(limits(both, { tolerance: 3, gaveWay: ["max-error"], error: { rms: 0.2, max: 1.58 }, estimatedError: null })[0]?.text).toContain("Max. error 1.6 voxels");
@@ -384,9 +384,11 @@ describe("what decides", () => {
   });
 
   test("is said in words where a guard gave way", () => {
-    const errors = (error: { rms: number; max: number } | null) => ({ error, estimatedError: { rms: 0.2, worstLeaf: 0.64 } });
+    const errors = (error: { rms: number; max: number } | null) => ({ error, estimatedError: { rms: 0.2, worstLeaf: 0.64 }, vanishedParts: null });
     expect(gaveWayText("max-error", errors({ rms: 0.3, max: 3.2 }), voxels(2))).toBe("Max. error 1.6 voxels");
     expect(gaveWayText("max-error", errors(null), voxels(2))).toBe("Error ≈ 0.1 voxels (RMS)");
     expect(gaveWayText("topology", errors(null), voxels(2))).toBe("Topology not kept: the budget is too small");
+    const vanished = (vanishedParts: number) => gaveWayText("topology", { ...errors(null), vanishedParts }, voxels(2));
+    expect([1, 1200].map(vanished)).toEqual(["1 small part left out: the budget is too small", "1,200 small parts left out: the budget is too small"]);
   });
 });

@@ -167,6 +167,7 @@ typedef struct {
     uint cell_points; // Points of cells and sheets.
     uint points; // Points of the surface.
     uint cap; // 1: the volume was padded by one sample on every side.
+    uint regions; // Number of regions, which are the first blocks of the tree.
 } ErrorLeavesArgs;
 
 // Arguments of `error_seeds`, `error_regions` and `error_far`.
@@ -215,18 +216,30 @@ typedef struct {
 
 // Arguments of `tree_gather`.
 typedef struct {
-    Grid grid; // Extent of the volume.
-    uint first_region; // First region of this launch.
-    uint fill; // 1: the triangles are written; 0: they are counted.
+    Grid grid; // Extent of the volume, in blocks of the level instead of regions.
+    uint first_region; // First block of this launch.
+    uint fill; // 0: the triangles are counted; 1: they are written, and the numbers of those of other blocks; 2: without these.
 } TreeGatherArgs;
 
 // Arguments of `tree_build`.
 typedef struct {
-    Grid grid; // Extent of the volume.
+    Grid grid; // Extent of the volume, in blocks of the level instead of regions.
     CutParams params; // What positions depend on: whether the volume is capped.
-    uint first_region; // First region of this launch.
+    uint first_region; // First block of this launch.
     uint cell_points; // Points of cells and sheets of all regions.
+    uint level; // Level of the blocks.
+    uint is_last; // 1: there is no level above.
+    uint is_soft; // 1: merges that turn or fold the surface are not forbidden but cost more.
+    uint rounds; // Maximum number of rounds of this launch.
 } TreeBuildArgs;
+
+// Arguments of `tree_commit`, `tree_rise` and `tree_risen`.
+typedef struct {
+    Grid grid; // Extent of the volume, in blocks of the level instead of regions.
+    uint first_region; // First block of this launch.
+    uint level; // Level of the blocks.
+    uint points; // Points of the surface.
+} TreeRiseArgs;
 
 // Arguments of `tree_part_add`.
 typedef struct {
@@ -245,6 +258,9 @@ typedef struct {
 // Arguments of `tree_weigh`.
 typedef struct {
     CutParams params; // What the importance depends on.
+    uint first_block; // First block of this launch.
+    uint regions; // Number of regions, which are the first blocks.
+    uint vanishing; // Number of the block of nodes at which parts vanish, or `NONE`.
 } TreeWeighArgs;
 
 // Arguments of `tree_histogram`.
@@ -260,6 +276,8 @@ typedef struct {
     uint points; // Points of the surface.
     uint first; // 1: there was no cut of the same tolerance before this one.
     uint removes; // 1: parts are left out; 0: none are.
+    uint first_block; // First block of this launch.
+    uint regions; // Number of regions, which are the first blocks.
 } TreeLeavesArgs;
 
 // Arguments of `tree_test`.
@@ -269,6 +287,7 @@ typedef struct {
     uint points; // Points of the surface.
     float tolerance; // Nodes with keys up to this one are merged.
     uint removes; // 1: parts are left out; 0: none are.
+    uint first_above; // Leaves before those that are nodes of levels above the regions.
 } TreeTestArgs;
 
 // Arguments of `tree_vertices`.
@@ -283,6 +302,7 @@ typedef struct {
 typedef struct {
     Grid grid; // Extent of the volume.
     uint points; // Points of the surface.
+    uint first_above; // Leaves before those that are nodes of levels above the regions.
 } TreeOffsetsArgs;
 
 // Arguments of `slice`.
@@ -333,7 +353,7 @@ typedef struct {
     CutParams params; // What the cut depends on; its threshold is not read.
     uint first_key; // First key of bin 1.
     uint shift; // A bin holds 2^shift keys.
-    uint regions; // Active regions.
+    uint regions; // Active regions, or blocks of the vertex tree.
 } CurveArgs;
 
 // Arguments of `distance_points`.

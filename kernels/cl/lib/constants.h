@@ -80,6 +80,14 @@
 #define CUBE_ROWS 26u
 // Rounds of merges in which a block of the vertex tree is built at most.
 #define TREE_ROUNDS 64u
+// Level of the vertex tree's nodes of larger cubes, too.
+#define MAX_CUBE_LEVEL 5u
+// Flag of a node that is on the surface's border on the volume's faces.
+#define NODE_BORDER 8u
+// The same of a cluster.
+#define CLUSTER_BORDER 8u
+// Flag beside a node's error or key, in its sign bit: the merge removes one triangle instead of two.
+#define KEY_SINGLE 2147483648u
 // Bins of `fit`, with one for what lies before them and one for what lies behind.
 #define FIT_BINS 2562u
 // Words of a region's bit mask over its halo of cells: 34^3 - 32^3 cells, four sheets each, 32 bits a word.

@@ -132,25 +132,32 @@ typedef struct {
     uint attributes; // s, then normalised f, 16 bits each
 } Vertex;
 
-// What the vertex tree has in a region (tree.cl).
+// What the vertex tree has in a block (tree.cl): in a region, which is a block of level 0, or in a block of a level above.
 typedef struct {
     uint border_base;    // number of its first point on the volume's faces
     uint border_points;  // how many
-    uint triangle_count; // triangles with a corner in the region
+    uint triangle_count; // triangles with a corner in the block
     uint triangle_base;  // the first of them in working memory
-    uint cluster_base;   // the first of its clusters in working memory
+    uint cluster_base;   // the first of its clusters in working memory; once the tree is built, the points of the regions before it
     uint node_base;      // its first node
     uint nodes;          // how many
     uint rounds;         // in how many rounds they were made
-    uint beside_count;   // triangles of other regions' meshes that have a corner in the region
+    uint beside_count;   // triangles of other blocks' meshes that have a corner in the block
     uint beside_base;    // the first of their numbers
     float area;          // a third of the triangles around each of its points
+    uint points;         // of all its regions
+    uint region;         // compact index of its first region
+    uint above;          // number of the block of the next level that it is in, regions first, or NONE
+    uint clusters;       // those that remain
+    uint idle;           // of these, those that never merge in the block, the last ones
+    uint fresh;          // of these, those that the last round has made
+    uint is_done;        // 1: no more rounds
 } TreeRegion;
 
 // A cluster of points while the vertex tree is built: what the costs of its edges depend on, beside its position. 16 numbers.
 typedef struct {
     Quadric quadric; // planes of the triangles around its points, from its own position, weighted by area; k: the area
-    uint ring_first; // start of its ring; while the mesh is read, of its list of triangles
+    uint ring_first; // start of its ring; while the mesh is read, of its list of triangles; between levels, its leaf (tree_leaf.h)
     uint ring_count;
 } TreeCluster;
 
@@ -165,14 +172,14 @@ typedef struct {
 
 // A merge of two clusters of points.
 typedef struct {
-    uint position[2]; // from the region's low corner, 1/VERTEX_LATTICE cell (tree_node.h)
+    uint position[2]; // from its block's low corner, how far it may move, and the block's level (tree_node.h)
     uint normal_s;    // normal as in VertexRecord; from bit 16 smoothness times 65535
     float f;          // user feature, not yet normalised
-    uint meta;        // bits 0..2 level of the smallest cube that is as large; 3: on the surface's border; from bit 6 on its
-                      // region's compact index
+    uint meta;        // bits 0..2 level of the smallest cube that is as large; 3: on the surface's border; from bit 6 on the
+                      // compact index of its block's first region
 } TreeNode;
 
-// What the leaves of a cut of the vertex tree add up to in a region.
+// What the leaves of a cut of the vertex tree add up to in a block.
 typedef struct {
     uint leaves[6]; // points, by level
     float error2;   // sum of error^2 (tree_key.h)

@@ -14,7 +14,7 @@
 
 // Fans of more triangles are not searched. That of a cell has at most 24; a larger one is that of a coarse leaf beside fine ones, and its
 // triangles are in the fans of those, too. So the cost of a crossing is bounded, whatever the cut.
-#define FAN_CAPACITY 64
+#define FAN_CAPACITY 1024
 
 // If a crossing is further than SEED_DISTANCE (1 + edge of its leaf in cells) smallest spacings, seeds are tried.
 #define SEED_DISTANCE 0.125f

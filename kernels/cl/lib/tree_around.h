@@ -96,7 +96,9 @@ INLINED uint list_left(const CutView *cut, __local uint *scratch, __global const
 // Leaves of a region, and the counts of triangles around them.
 typedef struct {
     TreePoints points;
-    uint node_base, first_node; // of the region's nodes, and of leaves that are nodes
+    uint node_base, nodes;      // of the region
+    uint first_node;            // of leaves that are nodes
+    uint first_above;           // of leaves that are nodes of levels above
     uint cell_points;           // of the surface
     __local uint *local_around; // by own_leaf_index; on a GPU, memory in which adding is faster
     __global uint *global_around;
@@ -110,7 +112,7 @@ typedef struct {
 #endif
 
 inline uint own_index(const OwnLeaves *own, uint leaf) {
-    return own_leaf_index(&own->points, own->node_base, own->first_node, leaf);
+    return own_leaf_index(&own->points, own->node_base, own->nodes, own->first_node, leaf);
 }
 inline uint count_around(const OwnLeaves *own, uint index) {
     return own->is_local ? own->local_around[index] : own->global_around[index];
@@ -127,7 +129,7 @@ inline void clear_around(OwnLeaves *own) {
 inline bool is_border_leaf(const OwnLeaves *own, __global const TreeNode *tree_nodes, uint leaf) {
     // Most surfaces have no border.
     if (own->first_node == own->cell_points) return false;
-    return leaf < own->first_node ? leaf >= own->cell_points : tree_is_on_border(tree_nodes[leaf - own->first_node].meta);
+    return leaf_is_on_border(own->first_node, own->cell_points, tree_nodes, leaf);
 }
 
 #endif

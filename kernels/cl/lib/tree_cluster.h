@@ -13,9 +13,8 @@
 #define MERGE_PULL 0.003f       // weight of the pull towards the mean of a merged cluster's points, in parts of its area
 #define MERGE_LENGTH_COST 1e-6f // cost of an edge's squared length: of merges that cost nothing else, short ones come first
 
-// A cluster's flags
+// A cluster's flags beside CLUSTER_BORDER
 #define CLUSTER_LOW_FACES 7u // faces of the volume that it lies on, which it may not leave, one bit each: at the low ends of the axes
-#define CLUSTER_BORDER 8     // on the surface's border on the volume's faces
 #define CLUSTER_LOCKED 16    // beside missing samples, or two fans meet at it: never merges
 #define CLUSTER_HIGH_FACES (CLUSTER_LOW_FACES << CLUSTER_HIGH) // faces at the high ends
 #define CLUSTER_HIGH 5
@@ -73,6 +72,7 @@ typedef struct {
     Real3 from;        // the first one's position
     Real3 to;          // from there to the merged position
     real cost;         // INFINITY if the two may not merge
+    real children;     // squared errors of the two, summed
 } Merges;
 
 INLINED Quadrics load_cluster_quadrics(__global const TreeCluster *clusters, const uint *at) {
@@ -142,6 +142,7 @@ INLINED Merges merge_pairs(PairBatch *batch, __global const TreeCluster *cluster
     const real cost = error - a.c - second_c + MERGE_LENGTH_COST * plain_dot(between, between) * q.k;
     const integer may_merge = (((first_flags | second_flags) & CLUSTER_LOCKED) == 0) & ((faces == first_faces) | (faces == second_faces));
     merges.cost = PICK(may_merge, fmax(cost, 0.0f), INFINITY);
+    merges.children = a.c + second_c;
     merges.quadrics = q;
     return merges;
 }

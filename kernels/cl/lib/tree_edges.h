@@ -13,6 +13,8 @@ inline uint leaf_hash(uint leaf) {
     return h ^ h >> 15;
 }
 
+inline uint edge_hash32(uint a, uint b) { return (a * 0x9e3779b1u ^ b) * 0x85ebca6bu; }
+
 // A table of directed edges: one a region, in local memory if it fits.
 typedef struct {
     __global const uint *corners, *leaves; // of the full mesh
@@ -42,8 +44,7 @@ inline void clear_edges(EdgeTable *table, uint capacity) {
 // table had it already. A group of one work-item stores the two leaves; a larger group stores the corner, because an atomic operation
 // inserts only a single number.
 INLINED bool put_edge(const EdgeTable *table, uint corner, uint a, uint b) {
-    const uint hash = (a * 0x9e3779b1u ^ b) * 0x85ebca6bu;
-    for (uint at = mul_hi(hash, table->capacity);; at = at + 1 < table->capacity ? at + 1 : 0) {
+    for (uint at = mul_hi(edge_hash32(a, b), table->capacity);; at = at + 1 < table->capacity ? at + 1 : 0) {
 #if WIDE_GROUP == 1
         (void)corner;
         __global uint *edge = table->edges + 2 * at;
@@ -62,17 +63,30 @@ INLINED bool put_edge(const EdgeTable *table, uint corner, uint a, uint b) {
     }
 }
 
+// Inserts the edge that begins at a corner of the full mesh into a table that all work-groups share; each entry is such a corner. Returns
+// whether the table had it already.
+INLINED bool put_shared_edge(__global uint *edges, uint capacity, __global const uint *corners, __global const uint *leaves, uint corner,
+                             uint a, uint b) {
+    uint at = mul_hi(edge_hash32(a, b), capacity);
+    for (uint tries = 0; tries < capacity; tries++, at = at + 1 < capacity ? at + 1 : 0) {
+        const uint found = atomic_cmpxchg(edges + at, NONE, corner);
+        if (found == NONE) return false;
+        if (leaf_number(leaves[corners[found]]) == a && leaf_number(leaves[corners[next_corner(found)]]) == b) return true;
+    }
+    return false;
+}
+
 // A number of each leaf in a region's mesh: of the region's own leaves by theirs, of the others in a hash table.
 typedef struct {
     TreePoints own;
-    uint node_base, points;
+    uint node_base, nodes, points;
     __global uint *own_numbers;                  // of the leaves of all regions
     __global uint *other_leaves, *other_numbers; // the table
     uint mask;
 } LeafNumbers;
 
 inline bool is_own_leaf(const LeafNumbers *of, uint leaf) {
-    return own_leaf_index(&of->own, of->node_base, of->points, leaf) != NONE;
+    return own_leaf_index(&of->own, of->node_base, of->nodes, of->points, leaf) != NONE;
 }
 
 // Address of a leaf's number. Inserts leaves of other regions into the table.

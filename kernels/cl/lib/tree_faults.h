@@ -13,6 +13,7 @@
 
 // The faults that a region finds, and the buffers for marking them.
 typedef struct {
+    __global const TreeRegion *tree_regions;
     __global const TreeNode *tree_nodes;
     __global const uchar2 *lives; // of leaves
     __global uchar *marks;
@@ -21,21 +22,20 @@ typedef struct {
 } Faults;
 
 // Marks the node of a leaf.
-inline void mark_leaf(__global const TreeNode *tree_nodes, uint points, uint leaf, __global uchar *marks, __global uint *marked) {
-    marks[leaf - points] = 1;
-    marked[tree_node_region(tree_nodes[leaf - points].meta)] = 1;
+INLINED void mark_leaf(const Faults *faults, uint points, uint leaf) {
+    const TreeNode node = faults->tree_nodes[leaf - points];
+    uint block = tree_node_region(node.meta);
+    for (uint level = tree_block_level(node); level > 0; level--) block = faults->tree_regions[block].above;
+    faults->marks[leaf - points] = 1;
+    faults->marked[block] = 1;
 }
 
-// Marks two leaves that meet along more than one line: if both are of one region, only the later one. Returns whether one of them is a node.
-inline bool mark_pair(const OwnLeaves *own, const Faults *faults, uint a, uint b) {
-    __global const TreeNode *tree_nodes = faults->tree_nodes;
-    const uint points = own->first_node;
-    const bool a_is_node = a >= points, b_is_node = b >= points;
-    const bool same = a_is_node && b_is_node
-        && tree_node_region(tree_nodes[a - points].meta) == tree_node_region(tree_nodes[b - points].meta);
-    if (a_is_node && !(same && a < b)) mark_leaf(tree_nodes, points, a, faults->marks, faults->marked);
-    if (b_is_node && !(same && b < a)) mark_leaf(tree_nodes, points, b, faults->marks, faults->marked);
-    return a_is_node || b_is_node;
+// Marks two leaves that meet along more than one line: of two nodes only the later one. `points`: the leaves before those that are nodes.
+// Returns whether one of them is a node.
+INLINED bool mark_pair(const Faults *faults, uint points, uint a, uint b) {
+    if (max(a, b) < points) return false;
+    mark_leaf(faults, points, max(a, b));
+    return true;
 }
 
 // A corner of a triangle: its leaf, the leaf's index in the region or NONE, and the rounds during which it existed.
@@ -58,8 +58,10 @@ inline void count_corner(const OwnLeaves *own, const Faults *faults, const Teste
 }
 
 // Whether two leaves can meet along more than one line. They cannot if both existed in the same round of building the tree: no round's merges
-// made such an edge, and the edges between two leaves depend on these leaves alone. Points of other regions existed in all rounds.
+// made such an edge, and the edges between two leaves depend on these leaves alone. Points of other regions existed in all rounds. Edges of
+// leaves of levels above are not tested here.
 inline bool may_meet_twice(const OwnLeaves *own, const TestedCorner *a, const TestedCorner *b) {
+    if (max(a->leaf, b->leaf) >= own->first_above) return false;
     if (a->index == NONE || b->index == NONE) return min(a->leaf, b->leaf) >= own->first_node;
     return !lived_together(a->life, b->life);
 }
@@ -73,7 +75,7 @@ INLINED void test_edge(const OwnLeaves *own, const EdgeTable *table, Faults *fau
     // Inside the surface the triangle on the other side of the edge has the opposite edge, which is tested instead.
     if (a > b && !(is_border_leaf(own, faults->tree_nodes, a) && is_border_leaf(own, faults->tree_nodes, b))) return;
     if (!put_edge(table, corner, a, b)) return;
-    mark_pair(own, faults, a, b);
+    mark_pair(faults, own->first_node, a, b);
     faults->any = true;
 }
 
@@ -85,7 +87,7 @@ INLINED bool mark_broken_nodes(const CutView *cut, const OwnLeaves *own, Faults 
         // One branch for both conditions, because each by itself is unpredictable.
         if (!((uint)(count < 3) & (uint)(leaf_number(tops[at]) == leaf))) continue;
         if (!is_broken(tree_is_on_border(faults->tree_nodes[at].meta), count)) continue;
-        mark_leaf(faults->tree_nodes, own->first_node, leaf, faults->marks, faults->marked);
+        mark_leaf(faults, own->first_node, leaf);
         faults->any = true;
     }
     uint broken_points = 0;
@@ -126,8 +128,8 @@ INLINED bool mark_beside_points(const CutView *cut, const OwnLeaves *own, Faults
         for (uint k = begin; k < end; k++) {
             CutTriangle triangle;
             if (!triangle_at(&triangle, cut, at->numbers[k])) continue;
-            faults->any |= mark_pair(own, faults, point, triangle.b);
-            faults->any |= mark_pair(own, faults, point, triangle.c);
+            faults->any |= mark_pair(faults, own->first_node, point, triangle.b);
+            faults->any |= mark_pair(faults, own->first_node, point, triangle.c);
         }
     }
     return is_any_broken;

@@ -11,7 +11,7 @@
 
 #define MAX_FOLD 0.8f // minus the cosine between the normals of two triangles that share an edge
 
-// Position of a cluster or of another region's point after this round's merges.
+// Position of a cluster, or of another block's, after this round's merges.
 inline float3 merged_position(const TreeBlock *block, uint at) {
     return at & FOREIGN ? end_position(block, at).xyz : block->merged_positions[at].xyz;
 }

@@ -3,10 +3,9 @@
 #ifndef ISOPEEL_TREE_KEY_H
 #define ISOPEEL_TREE_KEY_H
 
-// Flag beside a key, in its sign bit: the merge removes one triangle instead of two. Keys are 0 or more.
-#define KEY_SINGLE 0x80000000u
+#include "lib/constants.h"
 
-// As a number that is ordered as the keys are.
+// A packed key has KEY_SINGLE beside it; keys are 0 or more. As a number that is ordered as the keys are.
 inline uint key_bits(uint packed) { return packed & ~KEY_SINGLE; }
 // Triangles that the merge removes.
 inline uint merged_triangles(uint packed) { return packed & KEY_SINGLE ? 1 : 2; }

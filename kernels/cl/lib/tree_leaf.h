@@ -19,15 +19,21 @@ inline void find_points(TreePoints *points, __global const Region *region, __glo
     points->border_first = tree->border_base;
     points->border_count = tree->border_points;
 }
+// The same of a block: one above level 0, behind `regions`, has no points of its own.
+inline void find_block_points(TreePoints *points, __global const Region *of_regions, uint regions, __global const TreeRegion *tree_regions,
+                              uint block) {
+    if (block < regions) find_points(points, of_regions + block, tree_regions + block);
+    else points->first = points->count = points->border_first = points->border_count = 0;
+}
 inline uint count_points(TreePoints points) { return points.count + points.border_count; }
 inline uint nth_point(TreePoints points, uint i) {
     return i < points.count ? points.first + i : points.border_first + i - points.count;
 }
 
-// Nodes of a region after a round, and before it.
-inline uint round_end(__global const uint *round_ends, uint region, uint round) { return round_ends[TREE_ROUNDS * region + round]; }
-inline uint round_begin(__global const uint *round_ends, uint region, uint round) {
-    return round ? round_ends[TREE_ROUNDS * region + round - 1] : 0;
+// Nodes of a block after a round, and before it.
+inline uint round_end(__global const uint *round_ends, uint block, uint round) { return round_ends[TREE_ROUNDS * block + round]; }
+inline uint round_begin(__global const uint *round_ends, uint block, uint round) {
+    return round ? round_ends[TREE_ROUNDS * block + round - 1] : 0;
 }
 
 // A leaf as stored for a point: its number, its level, and whether the point had another leaf in the previous cut.
@@ -58,13 +64,13 @@ inline uint around_corner(bool on_border, uint after, uint before) { return on_b
 // Whether a leaf has too few triangles around it, or the border at it has closed.
 inline bool is_broken(bool on_border, uint around) { return on_border ? around == 0 : around < 3; }
 
-// Index of a leaf in the region that has these points and the nodes from `node_base` on: points first, then nodes. NONE if the leaf belongs
-// to another region.
-inline uint own_leaf_index(const TreePoints *own, uint node_base, uint points, uint leaf) {
+// Index of a leaf in the region that has these points, and `nodes` nodes from `node_base` on: points first, then nodes. NONE if the leaf
+// belongs to another block.
+inline uint own_leaf_index(const TreePoints *own, uint node_base, uint nodes, uint points, uint leaf) {
     const uint own_points = own->count + own->border_count;
     const bool is_node = leaf >= points;
     const uint index = leaf - (is_node ? points + node_base : own->first);
-    if (index < (is_node ? own_points : own->count)) return index + (is_node ? own_points : 0);
+    if (index < (is_node ? nodes : own->count)) return index + (is_node ? own_points : 0);
     return leaf - own->border_first < own->border_count ? own->count + leaf - own->border_first : NONE;
 }
 

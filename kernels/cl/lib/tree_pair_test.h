@@ -15,15 +15,12 @@
 #define SET_ASIDE 0x40000000u // until one of the two merges: it would be chosen in every round
 
 // Cost of merging a cluster with its partner.
-inline float pair_cost(const TreeBlock *block, uint a) {
-    const uint first = block->clusters[a].ring_first;
-    return block->costs[first + index_of(block->rings + first, block->partners[a])];
-}
+inline float partner_cost(const TreeBlock *block, uint a) { return pair_cost(block, a, block->partners[a]); }
 
 // Of two pairs that may not both merge, the one that gives way, both named by their first clusters. Without this choice they would retry
 // for ever.
 inline uint dearer_pair(const TreeBlock *block, uint a, uint b) {
-    const float a_cost = pair_cost(block, a), b_cost = pair_cost(block, b);
+    const float a_cost = partner_cost(block, a), b_cost = partner_cost(block, b);
     return a_cost > b_cost || (a_cost == b_cost && a > b) ? a : b;
 }
 
@@ -51,13 +48,17 @@ INLINED void test_pair(const TreeBlock *block, uint a) {
     const bool fails = joined.open ? count == 0 || merged_entry(&ring, 0) == merged_entry(&ring, count - 1) : count < 3;
     if (fails) or_global(block->best + a, GIVE_UP);
     if (!all_differ(&ring, count)) test_lines(block, a, &ring, count, joined.open);
-    if (folds(block, a, &ring, count, joined.open)) or_global(block->best + a, SET_ASIDE);
+    const bool may_fold = block->is_soft && is_penalised(partner_cost(block, a));
+    if (!may_fold && folds(block, a, &ring, count, joined.open)) or_global(block->best + a, SET_ASIDE);
 }
 
-// Excludes the edge between a cluster and its partner from the cluster's choice until one of them merges.
+// Excludes the edge between a cluster and its partner from the cluster's choice until one of them merges; in a soft block, penalises it.
 inline void set_edge_aside(const TreeBlock *block, uint at) {
-    const uint first = block->clusters[at].ring_first;
-    block->costs[first + index_of(block->rings + first, block->partners[at])] = INFINITY;
+    const uint partner = block->partners[at], entry = ring_entry(block, at, partner);
+    float cost = INFINITY;
+    if (block->is_soft)
+        cost = penalised_cost(block->costs[entry], merge_penalty(block, at, partner, block->merged_positions[at].xyz));
+    block->costs[entry] = cost;
 }
 
 // Applies a verdict to one cluster of a pair. Returns whether the pair is given up.
@@ -69,12 +70,13 @@ INLINED bool settle_cluster(const TreeBlock *block, uint at, uint verdict) {
     return true;
 }
 
-// Gives up the pairs that failed, and records the changes by the others. Each work-item writes only the data of its own clusters.
+// Gives up the pairs that failed, records the changes by the others, and lists the others. Each work-item writes only the data of its own clusters.
 #if WIDE_GROUP == 1
-INLINED void settle_pairs(TreeBlock *block) {
+INLINED void settle_pairs(TreeBlock *block, __local uint *scratch) {
+    (void)scratch;
     uint count = 0;
     for (uint i = 0; i < block->pair_count; i++) {
-        const uint at = nth_pair(block, i), partner = block->partners[at], verdict = block->best[at];
+        const uint at = pair_list(block)[i], partner = block->partners[at], verdict = block->best[at];
         pair_list(block)[count] = at;
         count += !settle_cluster(block, at, verdict);
         settle_cluster(block, partner, verdict);
@@ -82,13 +84,15 @@ INLINED void settle_pairs(TreeBlock *block) {
     block->pair_count = count;
 }
 #else
-INLINED void settle_pairs(const TreeBlock *block) {
+INLINED void settle_pairs(TreeBlock *block, __local uint *scratch) {
     for (uint i = get_local_id(0); i < block->alive_count; i += WIDE_GROUP) {
         const uint at = block->alive[i], partner = block->partners[at];
         if (partner & FOREIGN && block->members[at].changes) block->partners[at] = CHANGES;
         block->members[at].changes = 0;
         if (!(partner & FOREIGN)) settle_cluster(block, at, block->best[min(at, partner)]);
     }
+    barrier(CLK_GLOBAL_MEM_FENCE);
+    list_pairs(block, scratch);
 }
 #endif
 

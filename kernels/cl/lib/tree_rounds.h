@@ -23,6 +23,7 @@ INLINED void cost_batch(const TreeBlock *block, PairBatch *batch) {
     STORE_LANES(fabs(merge_pairs(batch, block->clusters, block->positions).cost), cost);
     for (uint i = 0; i < batch->count; i++) {
         const uint other = batch->other[i], at = batch->first[i] ^ batch->second[i] ^ other;
+        if (block->is_soft) cost[i] = as_float(as_uint(cost[i]) & ~PENALISED);
         block->costs[batch->entry[i]] = cost[i];
         if (block->clusters[other].ring_count == 0) continue; // a locked one
         const uint first = block->clusters[other].ring_first;
@@ -72,10 +73,7 @@ INLINED void collect_edges(const TreeBlock *block, PairBatch *batch, uint at) {
 INLINED void find_costs(const TreeBlock *block) {
     PairBatch batch;
     batch.count = 0;
-    for (uint i = get_local_id(0); i < new_end(block); i += WIDE_GROUP) {
-        const uint at = nth_new(block, i);
-        if (at != NONE) collect_edges(block, &batch, at);
-    }
+    for (uint i = get_local_id(0); i < block->new_count; i += WIDE_GROUP) collect_edges(block, &batch, new_list(block)[i]);
     cost_batch(block, &batch);
 }
 
@@ -102,7 +100,8 @@ INLINED uint best_neighbour(const TreeBlock *block, uint at) {
     return best;
 }
 
-// Tests the collected pairs and writes the positions of their merges. Returns the columns of the pairs that may not merge, one bit each.
+// Tests the collected pairs and writes the positions of their merges. Returns the columns of the pairs that may not merge, a bit each, and
+// from SOFT_SHIFT on, those that only turn a triangle past MIN_TURN.
 INLINED uint failed_pairs(const TreeBlock *block, PairBatch *batch) {
     const Merges merges = merge_pairs(batch, block->clusters, block->positions);
     float x[LANES], y[LANES], z[LANES];
@@ -115,7 +114,7 @@ INLINED uint failed_pairs(const TreeBlock *block, PairBatch *batch) {
     for (uint i = 0; i < batch->count; i++) {
         const uint a = batch->first[i], b = batch->second[i];
         if (!keeps_topology(block, a, b)) {
-            failed |= 1u << i;
+            failed |= (1u << SOFT_SHIFT | 1u) << i;
             continue;
         }
         const float4 to = (float4)(x[i], y[i], z[i], 0.0f);
@@ -126,16 +125,36 @@ INLINED uint failed_pairs(const TreeBlock *block, PairBatch *batch) {
     return failed | failed_turns(&turns);
 }
 
+// Adds the penalty to the cost of an edge, beside both ends' rings.
+INLINED void penalise_edge(const TreeBlock *block, uint a, uint b) {
+    const float cost = penalised_cost(pair_cost(block, a, b), merge_penalty(block, a, b, block->merged_positions[a].xyz));
+    block->costs[ring_entry(block, a, b)] = cost;
+    block->costs[ring_entry(block, b, a)] = cost;
+}
+
+// Whether a tested pair is not to merge now; `turns_far`, `fails`: from failed_pairs.
+#define CHOOSES_AGAIN FOREIGN // beside a listed cluster: its edge has not failed, but has another cost
+INLINED bool is_refused(const TreeBlock *block, uint a, uint b, bool fails, bool turns_far, uint *flag) {
+    *flag = 0;
+    if (fails || !turns_far) return fails;
+    if (!block->is_soft) return true;
+    if (is_penalised(pair_cost(block, a, b))) return false;
+    penalise_edge(block, a, b);
+    *flag = CHOOSES_AGAIN;
+    return true;
+}
+
 // Makes partners of the collected pairs that may merge, and lists the clusters of the others. Empties the batch.
 INLINED void test_batch(const TreeBlock *block, PairBatch *batch, __global uint *failed, __local uint *failed_count) {
     if (batch->count == 0) return;
     const uint fails = failed_pairs(block, batch);
     for (uint i = 0; i < batch->count; i++) {
         const uint a = batch->first[i], b = batch->second[i];
-        if (fails >> i & 1u) {
+        uint flag;
+        if (is_refused(block, a, b, fails >> i & 1u, fails >> (i + SOFT_SHIFT) & 1u, &flag)) {
             const uint at = add_local(failed_count, 2);
-            failed[at] = a;
-            failed[at + 1] = b;
+            failed[at] = a | flag;
+            failed[at + 1] = b | flag;
             block->merged_positions[a] = block->positions[a];
             block->merged_positions[b] = block->positions[b];
         } else {
@@ -161,9 +180,37 @@ INLINED bool tests_best(const TreeBlock *block, uint at, uint pass) {
     return of_other != (FOREIGN | pass) && of_other != at;
 }
 
+// A pass of choose_partners: tests the pairs of clusters on a list that have chosen each other. `counts`: of the clusters in `failed`, and on a
+// GPU of the pairs.
+INLINED void test_pass(const TreeBlock *block, __global const uint *list, uint count, uint pass, __global uint *failed,
+                       __local uint *counts) {
+    PairBatch batch;
+    batch.count = 0;
+#if WIDE_GROUP == 1
+    for (uint i = 0; i < count; i++) {
+        const uint at = list[i];
+        collect_pair(&batch, at, block->best[at], 0);
+        // Branch-free: the outcome is unpredictable.
+        batch.count -= !tests_best(block, at, pass);
+        if (batch.count == LANES) test_batch(block, &batch, failed, counts);
+    }
+    test_batch(block, &batch, failed, counts);
+#else
+    // Behind the clusters that have failed.
+    __global uint *pairs = (__global uint *)block->next_costs + block->alive_count;
+    for (uint i = get_local_id(0); i < count; i += WIDE_GROUP)
+        if (tests_best(block, list[i], pass)) pairs[add_local(counts + 1, 1)] = list[i];
+    barrier(CLK_GLOBAL_MEM_FENCE | CLK_LOCAL_MEM_FENCE);
+    for (uint i = get_local_id(0); i < counts[1]; i += WIDE_GROUP) {
+        collect_pair(&batch, pairs[i], block->best[pairs[i]], 0);
+        test_batch(block, &batch, failed, counts);
+    }
+#endif
+}
+
 // Makes partners of clusters that are each other's best neighbour and may merge. A pair is tested once both have chosen each other. If it
 // fails, both choose again, until no pair fails.
-INLINED void choose_partners(const TreeBlock *block, __local uint *failed_count) {
+INLINED void choose_partners(const TreeBlock *block, __local uint *counts) {
     const uint lid = get_local_id(0);
     __global uint *best = block->best, *partners = block->partners;
     for (uint i = lid; i < block->alive_count; i += WIDE_GROUP) {
@@ -175,26 +222,16 @@ INLINED void choose_partners(const TreeBlock *block, __local uint *failed_count)
     uint count = block->alive_count;
     // Of the clusters on the list, `partners` is the pass with FOREIGN beside it.
     for (uint pass = 0; count > 0; pass++) {
-        if (lid == 0) *failed_count = 0;
+        if (lid == 0) counts[0] = counts[1] = 0;
         barrier(CLK_GLOBAL_MEM_FENCE | CLK_LOCAL_MEM_FENCE);
         __global uint *failed = pass & 1 ? (__global uint *)block->next_costs : block->next_rings;
-        PairBatch batch;
-        batch.count = 0;
-        for (uint i = lid; i < count; i += WIDE_GROUP) {
-            const uint at = list[i];
-            const bool tests = tests_best(block, at, pass);
-            if (WIDE_GROUP > 1 && !tests) continue;
-            collect_pair(&batch, at, best[at], 0);
-            // Branch-free: the outcome is unpredictable.
-            if (WIDE_GROUP == 1) batch.count -= !tests;
-            if (batch.count == LANES) test_batch(block, &batch, failed, failed_count);
-        }
-        test_batch(block, &batch, failed, failed_count);
+        test_pass(block, list, count, pass, failed, counts);
         barrier(CLK_GLOBAL_MEM_FENCE | CLK_LOCAL_MEM_FENCE);
-        count = *failed_count;
+        count = counts[0];
         for (uint i = lid; i < count; i += WIDE_GROUP) {
-            const uint at = failed[i], first = block->clusters[at].ring_first;
-            ((__global uint *)block->costs)[first + index_of(block->rings + first, best[at])] |= FAILED;
+            const uint at = failed[i] & ~CHOOSES_AGAIN;
+            if (failed[i] == at) ((__global uint *)block->costs)[ring_entry(block, at, best[at])] |= FAILED;
+            failed[i] = at;
         }
         barrier(CLK_GLOBAL_MEM_FENCE | CLK_LOCAL_MEM_FENCE);
         for (uint i = lid; i < count; i += WIDE_GROUP) {
@@ -206,20 +243,18 @@ INLINED void choose_partners(const TreeBlock *block, __local uint *failed_count)
 }
 
 // Pairs the clusters that are each other's best, except those that fail the pair test.
-INLINED void find_pairs(TreeBlock *block, __local uint *failed_count) {
+INLINED void find_pairs(TreeBlock *block, __local uint *scratch, __local uint *counts) {
     find_costs(block);
     barrier(CLK_GLOBAL_MEM_FENCE);
-    choose_partners(block, failed_count);
+    choose_partners(block, counts);
     barrier(CLK_GLOBAL_MEM_FENCE);
-    list_pairs(block);
-    for (uint i = get_local_id(0); i < pairs_end(block); i += WIDE_GROUP) {
-        const uint at = nth_pair(block, i);
-        if (at != NONE) test_pair(block, at);
-    }
+    list_pairs(block, scratch);
+    for (uint i = get_local_id(0); i < block->pair_count; i += WIDE_GROUP) test_pair(block, pair_list(block)[i]);
     barrier(CLK_GLOBAL_MEM_FENCE);
-    settle_pairs(block);
-    barrier(CLK_GLOBAL_MEM_FENCE);
+    settle_pairs(block, scratch);
 }
+
+#define MAX_CUBE_LEVEL 5u // of nodes of larger blocks, too
 
 // Output buffers of a block's nodes.
 typedef struct {
@@ -227,13 +262,12 @@ typedef struct {
     __global uint *node_errors;   // as keys (tree_key.h)
     __global uchar *node_levels;  // as in TreeNode
     __global uint *node_parents;
-    __global uint *point_parents; // of the points of cells and sheets, then of those on the volume's faces
-    __global uint *border_parents;
-    uint cell_points;             // how many points of cells and sheets
-    uint region;
+    __global uint *cluster_parents; // of what the block began with
+    uint region, level;
     uint node_base;
-    int3 low, high;               // range of positions, 1/VERTEX_LATTICE cell from the region's low corner
-    float per_length;             // 1 / smallest spacing
+    int3 low, high;                 // range of positions, 2^level/VERTEX_LATTICE cell from the block's low corner
+    float3 step;                    // world units of that
+    float per_length;               // 1 / smallest spacing
 } TreeOutput;
 
 // Replaces a cluster by itself and its partner merged at `at`, node number `index`; its ring is made later.
@@ -244,9 +278,8 @@ INLINED void commit_merge(const TreeBlock *block, const TreeOutput *out, uint a,
     const uint first_flags = cluster_flags(block, a), second_flags = cluster_flags(block, b);
     first->quadric = quadric;
     for (uint side = 0; side < 2; side++) {
-        const uint point = side ? b : a, node = side ? other->node : own->node;
-        __global uint *of_point = point < out->cell_points ? out->point_parents + point : out->border_parents + (point - out->cell_points);
-        *(node != NONE ? out->node_parents + node : of_point) = index;
+        const uint node = side ? other->node : own->node;
+        *(node != NONE ? out->node_parents + node : out->cluster_parents + (side ? b : a)) = index;
     }
     for (uint i = 0; i < 3; i++) own->normal[i] += other->normal[i];
     own->s += other->s;
@@ -255,18 +288,19 @@ INLINED void commit_merge(const TreeBlock *block, const TreeOutput *out, uint a,
     own->node = index;
     const float per_area = exact_quotient(1.0f, fmax(quadric.k, 1e-30f));
     TreeNode node;
-    pack_tree_position(&node, at);
+    const float rms = sqrt(exact_quotient(quadric.c, fmax(quadric.k, 1e-30f))) * out->per_length;
+    pack_tree_position(&node, at, 0.5f * rms, out->level);
     node.normal_s = encode_octahedral8((float3)(own->normal[0], own->normal[1], own->normal[2]))
         | (uint)(clamp(own->s * per_area, 0.0f, 1.0f) * 65535.0f + 0.5f) << 16;
     node.f = own->f * per_area;
     const uint border = (first_flags | second_flags) & CLUSTER_BORDER ? 1 : 0;
-    node.meta = extent_level(own->extent) | border << 3 | out->region << 6;
+    node.meta = min(extent_level(own->extent) + out->level, MAX_CUBE_LEVEL) | border << 3 | out->region << 6;
     out->nodes[index] = node;
     out->node_errors[index] = as_uint(sqrt(quadric.c) * out->per_length) | (first_flags & second_flags & CLUSTER_BORDER ? KEY_SINGLE : 0);
     out->node_levels[index] = (uchar)tree_level(node.meta);
     out->node_parents[index] = NONE;
     // The flags become those of both with the ring.
-    const float3 to = convert_float3(at) * block->scale;
+    const float3 to = convert_float3(at) * out->step;
     block->positions[a].xyz = to;
     block->merged_positions[a].xyz = to;
 }
@@ -280,7 +314,7 @@ INLINED real lattice_coordinate(real merged, float scale, int low, int high) {
 INLINED void commit_batch(const TreeBlock *block, const TreeOutput *out, PairBatch *batch) {
     if (batch->count == 0) return;
     const Merges merges = merge_pairs(batch, block->clusters, block->positions);
-    const float3 scale = block->scale;
+    const float3 scale = out->step;
     const Real3 at = make_real3(lattice_coordinate(merges.from.x + merges.to.x, scale.x, out->low.x, out->high.x),
                                 lattice_coordinate(merges.from.y + merges.to.y, scale.y, out->low.y, out->high.y),
                                 lattice_coordinate(merges.from.z + merges.to.z, scale.z, out->low.z, out->high.z));
@@ -294,7 +328,8 @@ INLINED void commit_batch(const TreeBlock *block, const TreeOutput *out, PairBat
     STORE_LANES(q.ayz, rows + 4 * LANES);
     STORE_LANES(q.azz, rows + 5 * LANES);
     STORE_REAL3(q.b, rows + 6 * LANES, LANES)
-    STORE_LANES(fmax(q.c, 0.0f), rows + 9 * LANES);
+    // No merge makes the error smaller. Rounding would, where clusters are large and nearly flat.
+    STORE_LANES(fmax(q.c, merges.children), rows + 9 * LANES);
     STORE_REAL3(q.m, rows + 10 * LANES, LANES)
     STORE_LANES(q.k, rows + 13 * LANES);
     STORE_REAL3(at, rows + 14 * LANES, LANES)
@@ -307,27 +342,26 @@ INLINED void commit_batch(const TreeBlock *block, const TreeOutput *out, PairBat
         }
         quadric.c = rows[9 * LANES + i];
         quadric.k = rows[13 * LANES + i];
+        const uint a = batch->first[i], b = batch->second[i];
+        if (block->is_soft && is_penalised(pair_cost(block, a, b)))
+            quadric.c += merge_penalty(block, a, b, block->merged_positions[a].xyz);
         const int3 to = convert_int3((float3)(rows[14 * LANES + i], rows[15 * LANES + i], rows[16 * LANES + i]));
-        commit_merge(block, out, batch->first[i], quadric, to, batch->entry[i]);
+        commit_merge(block, out, a, quadric, to, batch->entry[i]);
     }
     batch->count = 0;
 }
 
-// Makes the nodes of this round's pairs, in order of their clusters. Returns how many.
-INLINED uint commit_pairs(const TreeBlock *block, const TreeOutput *out, uint node_count, __local uint *scratch) {
+// Makes the nodes of this round's pairs, in order of their clusters.
+INLINED void commit_pairs(const TreeBlock *block, const TreeOutput *out, uint node_count) {
     PairBatch batch;
     batch.count = 0;
-    uint merged = 0, total;
-    for (uint begin = 0; begin < pairs_end(block); begin += WIDE_GROUP) {
-        const uint i = begin + get_local_id(0), at = i < pairs_end(block) ? nth_pair(block, i) : NONE;
-        const uint rank = merged + scan_group(scratch, at != NONE, &total);
-        if (at != NONE) collect_pair(&batch, at, block->partners[at], out->node_base + node_count + rank);
+    for (uint i = get_local_id(0); i < block->pair_count; i += WIDE_GROUP) {
+        const uint at = pair_list(block)[i];
+        collect_pair(&batch, at, block->partners[at], out->node_base + node_count + i);
         if (batch.count == LANES) commit_batch(block, out, &batch);
-        merged += total;
     }
     commit_batch(block, out, &batch);
     barrier(CLK_GLOBAL_MEM_FENCE);
-    return merged;
 }
 
 // Makes the next round's ring of a cluster, from `to` on. Returns how many entries it has.
@@ -346,38 +380,22 @@ INLINED uint next_ring(const TreeBlock *block, uint at, uint to, bool merges) {
 
 // Makes the next round's rings, and drops the clusters that are merged into others.
 INLINED void compact_block(TreeBlock *block, __local uint *scratch) {
-    uint entries = 0;
 #if WIDE_GROUP == 1
     (void)scratch;
+    uint entries = 0;
     const uint end = block->alive_count, begin = list_kept(block);
     for (uint i = end; i-- > begin;) entries += next_ring(block, block->best[i], entries, false);
-    for (uint i = 0; i < block->new_count; i++) entries += next_ring(block, block->best[i], entries, true);
+    for (uint i = 0; i < block->new_count; i++) entries += next_ring(block, new_list(block)[i], entries, true);
 #else
-    const uint lid = get_local_id(0);
-    uint kept = 0, total;
-    for (uint begin = 0; begin < block->alive_count; begin += WIDE_GROUP) {
-        const bool is_there = begin + lid < block->alive_count;
-        const uint at = is_there ? block->alive[begin + lid] : 0, partner = is_there ? block->partners[at] : 0;
-        const bool is_kept = is_there && partner > at; // without a partner, it is above all
-        uint capacity = 0;
-        if (is_kept) capacity = block->clusters[at].ring_count + (!(partner & FOREIGN) ? block->clusters[partner].ring_count - 2 : 0);
-        const uint to = entries + scan_group(scratch, capacity, &total);
-        entries += total;
-        // Also the barrier between reading and writing.
-        const uint rank = kept + scan_group(scratch, is_kept, &total);
-        barrier(CLK_GLOBAL_MEM_FENCE);
-        kept += total;
-        if (is_kept) {
-            block->best[at] = to;
-            block->alive[rank] = at;
-        }
-    }
-    barrier(CLK_GLOBAL_MEM_FENCE);
-    for (uint i = lid; i < kept; i += WIDE_GROUP) {
+    list_kept(block, scratch);
+    for (uint i = get_local_id(0); i < block->alive_count; i += WIDE_GROUP) {
         const uint at = block->alive[i];
-        next_ring(block, at, block->best[at], has_partner(block, at));
+        if (!has_partner(block, at)) next_ring(block, at, block->best[at], false);
     }
-    block->alive_count = kept;
+    for (uint i = get_local_id(0); i < block->new_count; i += WIDE_GROUP) {
+        const uint at = new_list(block)[i];
+        next_ring(block, at, block->best[at], true);
+    }
 #endif
     barrier(CLK_GLOBAL_MEM_FENCE);
     __global uint *rings = block->rings;

@@ -1,6 +1,8 @@
 //! Clusters of the vertex tree's points: their quadrics, and the position and cost of a merge of two clusters
 //! (docs/algorithm.md#7-vertex-tree). In f32 and in the device's order of operations, because the last bit decides which pairs merge.
 
+use crate::tree::TreeLeaf;
+
 /// A point or direction, world units.
 pub(crate) type Vector = [f32; 3];
 
@@ -28,6 +30,8 @@ pub(crate) fn cross(a: Vector, b: Vector) -> Vector {
 const PULL: f32 = 0.003;
 /// Cost of an edge's squared length.
 const LENGTH_COST: f32 = 1e-6;
+/// Share of the second moment of two clusters that a penalised merge costs.
+const PENALTY: f32 = 0.125;
 /// Keeps divisions by an area finite.
 const MIN_AREA: f32 = 1e-30;
 
@@ -110,16 +114,20 @@ pub(crate) struct Cluster {
     pub(crate) quadric: Quadric,
     /// World units from the block's low corner.
     pub(crate) position: Vector,
-    /// Low and high cell of its points.
+    /// In the volume, 1/[`crate::tree::LATTICE`] cell.
+    pub(crate) lattice_position: [i32; 3],
+    /// Low and high cell of its points, in units of 2^level cells.
     pub(crate) cells: [[u32; 3]; 2],
     /// Faces of the volume that it lies on, which it may not leave: at the low and the high end of each axis.
     pub(crate) faces: [[bool; 2]; 3],
     /// On the surface's border on the volume's faces.
     pub(crate) on_border: bool,
-    /// Never merges.
+    /// Does not merge in this block, nor in any block above it.
     pub(crate) is_locked: bool,
-    /// Its node; a point has none.
-    pub(crate) node: Option<usize>,
+    /// Sums of s and f by area.
+    pub(crate) features: [f32; 2],
+    /// Its node, or the point itself.
+    pub(crate) leaf: TreeLeaf,
 }
 
 /// Two clusters as one.
@@ -161,6 +169,14 @@ pub(crate) fn merge(a: &Cluster, b: &Cluster) -> Merge {
         to,
         cost: if may_merge { cost.max(0.0) } else { f32::INFINITY },
     }
+}
+
+/// The penalty of a penalised merge: a share of the second moment of the two clusters about the merged position. `a` is the one of the smaller
+/// number.
+pub(crate) fn penalty(a: &Cluster, b: &Cluster) -> f32 {
+    let merged = add(a.position, merge(a, b).to);
+    let [from_first, from_second] = [a, b].map(|cluster| subtract(merged, cluster.position));
+    PENALTY * (a.quadric.k * dot(from_first, from_first) + b.quadric.k * dot(from_second, from_second))
 }
 
 /// Order of edges of equal cost, by the numbers of their ends in the block.

@@ -42,8 +42,8 @@ pub fn of_tree(
             let point = &cutter.mesh.points[point];
             (point.s, point.f, false)
         }
-        TreeLeaf::Node((region, node)) => {
-            let node = &cutter.tree.blocks[&region].nodes[node];
+        TreeLeaf::Node(id) => {
+            let node = cutter.node(id);
             (node.s, node.f, true)
         }
     });

@@ -6,7 +6,8 @@ use isopeel_kernels::{CutParams, TreeGoal};
 
 use crate::cut::importance_of;
 use crate::interest::{CellBox, raise};
-use crate::tree::{FullMesh, LATTICE, Node, NodeId, Tree};
+pub use crate::tree::TreeLeaf;
+use crate::tree::{BlockId, FullMesh, LATTICE, Node, NodeId, Tree, vanishing_level};
 
 /// Minimum weight: at the maximum importance, the tolerance is multiplied by this.
 const MIN_WEIGHT: f32 = 1.0 / 64.0;
@@ -19,17 +20,8 @@ const REPAIR_SHARE: u64 = 64;
 /// Maximum number of cuts that are tried.
 const MAX_REPAIRS: usize = 64;
 
-/// A number of each node, by region.
-pub type OfNodes = BTreeMap<[u32; 3], Vec<f32>>;
-
-/// The leaf that represents a point in a cut.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub enum TreeLeaf {
-    /// Itself.
-    Point(usize),
-    /// A node above it.
-    Node(NodeId),
-}
+/// A number of each node, by block.
+pub type OfNodes = BTreeMap<BlockId, Vec<f32>>;
 
 /// Triangles between leaves, by region.
 pub type Triangles = BTreeMap<[u32; 3], Vec<[TreeLeaf; 3]>>;
@@ -43,6 +35,8 @@ pub struct Cutter<'a> {
     pub tree: &'a Tree,
     /// Nodes that are never merged: those of parts that the mesh is without.
     pub removed: &'a BTreeSet<NodeId>,
+    /// Whether small parts may vanish. If not, their vanishing nodes are never merged.
+    pub may_vanish: bool,
 }
 
 /// A cut without faults.
@@ -54,13 +48,15 @@ pub struct TreeCut {
     pub leaves: Vec<TreeLeaf>,
     /// The remaining triangles of the mesh.
     pub triangles: Triangles,
-    /// Nodes that are not merged: because that would change the topology, or because they are of removed parts.
+    /// Nodes that are not merged: because that would change the topology, because they are of removed parts, or because they are vanishing
+    /// nodes and no part may vanish.
     pub marks: BTreeSet<NodeId>,
 }
 
 impl Cutter<'_> {
-    fn node(&self, (region, index): NodeId) -> &Node {
-        &self.tree.blocks[&region].nodes[index]
+    /// Returns a node of the tree.
+    pub fn node(&self, id: NodeId) -> &Node {
+        self.tree.node(id)
     }
 
     /// Position of a leaf in the volume, 1/[`crate::tree::LATTICE`] cell.
@@ -79,8 +75,41 @@ impl Cutter<'_> {
         }
     }
 
-    /// Whether the triangles around a leaf are too few, or the border at it has closed.
+    /// The block of the vanishing nodes.
+    fn vanishing_block(&self) -> BlockId {
+        BlockId {
+            level: vanishing_level(&self.mesh.grid),
+            coords: [0; 3],
+        }
+    }
+
+    /// Whether a leaf is a node above a whole part, which has vanished if the node is merged.
+    pub fn is_vanishing(&self, leaf: TreeLeaf) -> bool {
+        node_of(leaf).is_some_and(|id| id.block == self.vanishing_block())
+    }
+
+    /// Number of parts that have vanished in a cut. `leaves`: the leaf of each point.
+    pub fn vanished_parts(&self, leaves: &[TreeLeaf]) -> u64 {
+        let vanished = leaves.iter().filter(|&&leaf| self.is_vanishing(leaf));
+        vanished.collect::<BTreeSet<_>>().len() as u64
+    }
+
+    /// The nodes that are never merged, whatever the topology: those of removed parts, and all vanishing nodes if no part may vanish.
+    pub fn first_marks(&self) -> BTreeSet<NodeId> {
+        let mut marks = self.removed.clone();
+        if !self.may_vanish {
+            let block = self.vanishing_block();
+            let nodes = self.tree.blocks.get(&block).map_or(0, |of_block| of_block.nodes.len());
+            marks.extend((0..nodes).map(|index| NodeId { block, index }));
+        }
+        marks
+    }
+
+    /// Whether the triangles around a leaf are too few, or the border at it has closed. A vanished part has no triangles.
     fn is_broken(&self, leaf: TreeLeaf, around: &[[TreeLeaf; 3]]) -> bool {
+        if self.is_vanishing(leaf) && around.is_empty() {
+            return false;
+        }
         let on_border = match leaf {
             TreeLeaf::Point(point) => self.mesh.points[point].on_border,
             TreeLeaf::Node(id) => self.node(id).on_border,
@@ -96,18 +125,27 @@ impl Cutter<'_> {
         if on_border { !is_open() } else { around.len() < 3 }
     }
 
-    /// Of each node the maximum importance of its points.
+    /// Of each node the maximum importance of its points; of a vanishing node that of the whole part.
     pub fn importances(&self, params: &CutParams) -> OfNodes {
         let mut importances: OfNodes = (self.tree.blocks.iter())
-            .map(|(&region, block)| (region, vec![0.0; block.nodes.len()]))
+            .map(|(&id, block)| (id, vec![0.0; block.nodes.len()]))
             .collect();
         for (i, point) in self.mesh.points.iter().enumerate() {
             let own = importance_of(point.s, point.f, params).clamp(0.0, 1.0);
             let at = point.position.map(|x| x as f32 / LATTICE as f32);
             let own = raise(own, params, CellBox::point(at));
-            for (region, node) in self.tree.above(self.mesh, i) {
-                let of_nodes = importances.get_mut(&region).expect("one a block");
-                of_nodes[node] = of_nodes[node].max(own);
+            for NodeId { block, index } in self.tree.above(i) {
+                let of_nodes = importances.get_mut(&block).expect("one a block");
+                of_nodes[index] = of_nodes[index].max(own);
+            }
+        }
+        let block = self.vanishing_block();
+        if let Some(of_nodes) = importances.get_mut(&block) {
+            // From the top of each chain down.
+            for index in (0..of_nodes.len()).rev() {
+                if let Some(parent) = self.node(NodeId { block, index }).parent {
+                    of_nodes[index] = of_nodes[parent.index];
+                }
             }
         }
         importances
@@ -116,26 +154,31 @@ impl Cutter<'_> {
     /// Of each node the tolerance from which on it is merged. Nodes in `marks` never are.
     pub fn keys(&self, importances: Option<&OfNodes>, marks: &BTreeSet<NodeId>) -> OfNodes {
         let mut keys = OfNodes::new();
-        for (&region, block) in &self.tree.blocks {
+        // Parents first: they are in blocks of higher levels, or later in the same block.
+        for (&id, block) in self.tree.blocks.iter().rev() {
             let mut of_nodes = vec![f32::INFINITY; block.nodes.len()];
-            for (i, node) in block.nodes.iter().enumerate().rev() {
-                let weight = importances.map_or(1.0, |of| (1.0 - of[&region][i]).max(MIN_WEIGHT));
-                let own = if marks.contains(&(region, i)) {
+            for (index, node) in block.nodes.iter().enumerate().rev() {
+                let weight = importances.map_or(1.0, |of| (1.0 - of[&id][index]).max(MIN_WEIGHT));
+                let own = if marks.contains(&NodeId { block: id, index }) {
                     f32::INFINITY
                 } else {
                     node.error / weight
                 };
-                of_nodes[i] = node.parent.map_or(own, |parent| own.min(of_nodes[parent]));
+                of_nodes[index] = match node.parent {
+                    Some(parent) if parent.block == id => own.min(of_nodes[parent.index]),
+                    Some(parent) => own.min(keys[&parent.block][parent.index]),
+                    None => own,
+                };
             }
-            keys.insert(region, of_nodes);
+            keys.insert(id, of_nodes);
         }
         keys
     }
 
     /// For each node that can merge, its key and the number of triangles that it removes, sorted by key.
     fn merges(&self, keys: &OfNodes) -> Vec<(f32, u64)> {
-        let of_block = |(region, of_nodes): (&[u32; 3], &Vec<f32>)| {
-            let nodes = &self.tree.blocks[region].nodes;
+        let of_block = |(id, of_nodes): (&BlockId, &Vec<f32>)| {
+            let nodes = &self.tree.blocks[id].nodes;
             let removed = nodes.iter().map(|node| u64::from(node.removed));
             of_nodes.iter().copied().zip(removed).collect::<Vec<_>>()
         };
@@ -191,9 +234,9 @@ impl Cutter<'_> {
     /// The leaf of each point: the topmost node above it with a key up to the tolerance.
     pub fn leaves(&self, keys: &OfNodes, tolerance: f32) -> Vec<TreeLeaf> {
         let leaf = |point| {
-            let above = self.tree.above(self.mesh, point);
+            let above = self.tree.above(point);
             above
-                .filter(|(region, node)| keys[region][*node] <= tolerance)
+                .filter(|id| keys[&id.block][id.index] <= tolerance)
                 .last()
                 .map_or(TreeLeaf::Point(point), TreeLeaf::Node)
         };
@@ -234,10 +277,7 @@ impl Cutter<'_> {
         // Directed edges of a surface differ.
         let mut edges = HashSet::new();
         for (a, b, _) in corners().filter(|&(a, b, _)| !edges.insert([a, b])) {
-            match (node_of(a), node_of(b)) {
-                (Some(a), Some(b)) if a.0 == b.0 => drop(marks.insert(a.max(b))),
-                (a, b) => marks.extend(a.into_iter().chain(b)),
-            }
+            marks.extend(node_of(a.max(b)));
         }
         marks
     }
@@ -251,7 +291,7 @@ impl Cutter<'_> {
             let fitted = goal.tolerance.max(self.fit(keys, goal.max_triangles));
             fitted.min(goal.max_tolerance.min(f32::MAX))
         };
-        let mut marks = self.removed.clone();
+        let mut marks = self.first_marks();
         let mut keys = self.keys(importances, &marks);
         let mut tolerance = fit(&keys);
         for _ in 0..MAX_REPAIRS {

@@ -149,7 +149,7 @@ pub fn without(mesh: &FullMesh, tree: &Tree, parts: &Parts, filter: &Filter) -> 
         triangles.retain(|triangle| !is_removed[triangle[0]]);
     }
     let removed_points = (0..mesh.points.len()).filter(|&point| is_removed[point]);
-    let nodes = removed_points.flat_map(|point| tree.above(&mesh, point)).collect();
+    let nodes = removed_points.flat_map(|point| tree.above(point)).collect();
     Remaining {
         mesh,
         is_removed,

@@ -11,9 +11,7 @@ use crate::tree_cut::{Cutter, TreeLeaf, node_of};
 /// Parts of a smallest spacing that an offset is rounded to.
 const OFFSET_STEPS: f64 = 8192.0;
 /// Maximum of an offset, in smallest spacings: larger offsets count as this.
-const OFFSET_MAX: f64 = 0.25;
-/// Maximum distance by which a node moves, in smallest spacings.
-const MOVED_MAX: f64 = 0.04;
+const OFFSET_MAX: f64 = 4.0;
 /// The share of the mean offset by which a node moves.
 const OFFSET_SHARE: f64 = 0.7;
 
@@ -92,12 +90,14 @@ impl Relaxer<'_> {
         if (0..3).any(|i| at[i] <= faces[i][0] || at[i] >= faces[i][1]) {
             return at;
         }
+        let max_move = f64::from(self.cutter.node(node).max_move);
+        let low_corner = node.block.low_corner();
         let mean = sum.offsets as f64 / OFFSET_STEPS / sum.count.max(1) as f64;
-        let way = (OFFSET_SHARE * mean).clamp(-MOVED_MAX, MOVED_MAX) * f64::from(grid.smallest_spacing());
+        let way = (OFFSET_SHARE * mean).clamp(-max_move, max_move) * f64::from(grid.smallest_spacing());
         std::array::from_fn(|i| {
             let step = f64::from(self.normals[&node][i]) * way / f64::from(grid.spacing[i]) * f64::from(LATTICE);
-            let region = [0, 32].map(|cells| (node.0[i] as i32 * 32 + cells) * LATTICE);
-            (at[i] + step.round_ties_even() as i32).clamp(faces[i][0].max(region[0]), faces[i][1].min(region[1]))
+            let [low, high] = [0, node.block.extent()].map(|end| low_corner[i] + end);
+            (at[i] + step.round_ties_even() as i32).clamp(faces[i][0].max(low), faces[i][1].min(high))
         })
     }
 }

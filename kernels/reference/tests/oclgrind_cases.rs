@@ -200,15 +200,18 @@ fn tree(engine: &Engine, volume: &Volume, pyramid: &Pyramid) {
         chosen: Some(ChosenParts::Hide(vec![None, Some([1.0; 3])])),
     };
     let cases = [
-        (0.2, u64::MAX, PartFilter::default()),
-        (-1.0, tree.full_triangles() / 2, hidden),
+        (0.2, u64::MAX, PartFilter::default(), false),
+        (-1.0, tree.full_triangles() / 2, hidden, false),
+        // Leaves of all levels, and parts that vanish.
+        (-1.0, 0, PartFilter::default(), true),
     ];
-    for (tolerance, max_triangles, without) in cases {
+    for (tolerance, max_triangles, without, may_vanish) in cases {
         let goal = TreeGoal {
             tolerance,
             max_triangles,
             max_tolerance: f32::INFINITY,
             without,
+            may_vanish,
         };
         let (surface, _) = engine
             .tree_surface(volume, pyramid, &tree, &params, &goal, &Never)

@@ -528,5 +528,6 @@ fn tree_goal() -> TreeGoal {
             min_area: BALL_AREA,
             chosen: None,
         },
+        may_vanish: false,
     }
 }

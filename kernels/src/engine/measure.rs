@@ -56,7 +56,7 @@ impl Engine {
             state_error: true,
             ..params.clone()
         };
-        let cutter = self.cutter_without_parts(volume, pyramid, tree, &params, &goal.without, cancel)?;
+        let cutter = self.cutter_for(volume, pyramid, tree, &params, goal, cancel)?;
         let (work, _) = self.cut_tree(&cutter, &params, goal, cancel)?;
         let mut meshes = cutter.meshes(&work)?;
         let TreeMesh { mesh, .. } = self.mesh_tree_cut(&cutter, &params, &work, &mut meshes, cancel)?;

@@ -89,6 +89,7 @@ impl Engine {
                 Mesher::Dual => None,
             },
             removed: None,
+            vanished_parts: 0,
             active_cells: pyramid.active_cells,
             leaves,
             triangles: made,

@@ -7,7 +7,7 @@ use crate::stages::cut::{self, Criterion};
 use crate::stages::fit::{self, INNER_BINS, Keys};
 use crate::stages::tree_cut::{Cutter, LEAF_LEVEL_SHIFT, LEAF_NUMBER};
 use crate::stages::{curve, distribution, probe, slice};
-use crate::tree::TreeCut;
+use crate::tree::{TreeCut, max_move};
 use crate::{
     Cancel, Cut, CutParams, Engine, Error, Level, Pyramid, REGION_CELLS, Result, SampleType, TreeGoal, VertexTree,
     Volume,
@@ -103,7 +103,7 @@ impl Engine {
         goal: &TreeGoal,
         cancel: &dyn Cancel,
     ) -> Result<ShownCut<'a>> {
-        let cutter = self.cutter_without_parts(volume, pyramid, tree, params, &goal.without, cancel)?;
+        let cutter = self.cutter_for(volume, pyramid, tree, params, goal, cancel)?;
         Ok(ShownCut::Tree(tree, self.tree_cut(&cutter, params, goal, cancel)?))
     }
 
@@ -244,8 +244,15 @@ impl Engine {
             .cx
             .read_at(STAGE, &tree.built.node_errors, (number - points) as usize, 1)?[0];
         let error = f32::from_bits(error).abs();
+        // A leaf of several regions' points knows its error itself. Parts that vanish are small.
+        let node = (number - points) as usize;
+        if number >= tree.first_above() && !tree.vanishing_nodes().contains(&node) {
+            let node = self.cx.read_at(STAGE, &tree.built.nodes, node, 1)?[0];
+            let error = volume.grid.smallest_spacing() * 2.0 * max_move(&node);
+            return Ok(Some(ProbedLeaf { level, error }));
+        }
         let region = cell.region as usize;
-        let (of_pyramid, of_tree) = (&pyramid.host_regions[region], &tree.host_regions[region]);
+        let (of_pyramid, of_tree) = (&pyramid.host_regions[region], &tree.blocks[region]);
         let parts = [
             (of_pyramid.point_base, of_pyramid.cell_points()),
             (of_tree.border_base, of_tree.border_points),

@@ -13,8 +13,8 @@ use crate::stages::tree_cut::{CutWork, Cutter};
 use crate::stages::{cut, error, tree_cut};
 use crate::tree::{TreeCut, TreeGoal};
 use crate::{
-    Cancel, CutParams, Engine, Error, ErrorEstimate, Level, Never, PartFilter, Pyramid, Result, Surface,
-    SurfaceStatistics, VertexTree, Volume,
+    Cancel, CutParams, Engine, Error, ErrorEstimate, Level, Never, Pyramid, Result, Surface, SurfaceStatistics,
+    VertexTree, Volume,
 };
 use std::sync::Arc;
 
@@ -35,8 +35,8 @@ pub(super) struct TreeMesh {
 }
 
 impl Engine {
-    /// Cuts a tree and meshes the cut. The topology is that of the full dual mesh without removed parts, so there is a minimum number of
-    /// triangles: if the budget is below this minimum, or below what the guard allows, the surface exceeds the budget. Returns the
+    /// Cuts a tree and meshes the cut. The topology is that of the full dual mesh without removed parts, and without those that vanish if the
+    /// goal allows that. So there is a minimum number of triangles: if the budget is below this minimum, or below what the guard allows, the surface exceeds the budget. Returns the
     /// tolerance as well.
     ///
     /// # Errors
@@ -51,7 +51,7 @@ impl Engine {
         cancel: &dyn Cancel,
     ) -> Result<(Surface, f32)> {
         let before = self.cx.pool.restart();
-        let cutter = self.cutter_without_parts(volume, pyramid, tree, params, &goal.without, cancel)?;
+        let cutter = self.cutter_for(volume, pyramid, tree, params, goal, cancel)?;
         let (work, tolerance) = self.cut_tree(&cutter, params, goal, cancel)?;
         let surface = self.surface_of_tree_cut(&cutter, params, &work, before, cancel)?;
         keep(&cutter, params, goal, work);
@@ -72,7 +72,7 @@ impl Engine {
         cancel: &dyn Cancel,
     ) -> Result<Surface> {
         let before = self.cx.pool.restart();
-        let cutter = self.cutter_without_parts(volume, pyramid, tree, params, &goal.without, cancel)?;
+        let cutter = self.cutter_for(volume, pyramid, tree, params, goal, cancel)?;
         let (work, _) = self.cut_tree(&cutter, params, goal, cancel)?;
         self.surface_of_tree_cut(&cutter, params, &work, before, cancel)
     }
@@ -146,22 +146,27 @@ impl Engine {
             pyramid,
             tree,
             left_out: None,
+            may_vanish: false,
         }
     }
 
-    /// Returns a cutter that leaves out the parts that `filter` removes.
-    pub(super) fn cutter_without_parts<'a>(
+    /// Returns a cutter for a goal: it leaves out the parts that the goal removes, and lets small parts vanish if the goal allows that.
+    pub(super) fn cutter_for<'a>(
         &'a self,
         volume: &'a Volume,
         pyramid: &'a Pyramid,
         tree: &'a VertexTree,
         params: &CutParams,
-        filter: &PartFilter,
+        goal: &TreeGoal,
         cancel: &dyn Cancel,
     ) -> Result<Cutter<'a>> {
         let cutter = self.cutter(volume, pyramid, tree, params);
-        let left_out = left_out(&cutter, params, filter, cancel)?;
-        Ok(Cutter { left_out, ..cutter })
+        let left_out = left_out(&cutter, params, &goal.without, cancel)?;
+        Ok(Cutter {
+            left_out,
+            may_vanish: goal.may_vanish,
+            ..cutter
+        })
     }
 
     /// The cut of a goal, repaired until no merge changes the topology, and its tolerance.
@@ -257,7 +262,11 @@ impl Engine {
         work: &CutWork,
     ) -> Result<(Vec<RegionMesh>, SurfaceStatistics)> {
         let (sums, meshes) = (cutter.sums(work)?, cutter.meshes(work)?);
-        let leaves = sum_levels(sums.iter().map(|region| &region.leaves));
+        let (vanished, shown) = match cutter.tree.vanishing {
+            Some(block) => (sums[block].leaves.iter().map(|&n| u64::from(n)).sum(), &sums[..block]),
+            None => (0, &sums[..]),
+        };
+        let leaves = sum_levels(shown.iter().map(|block| &block.leaves));
         let removed = cutter.left_out.as_ref().map(|left_out| left_out.removed);
         // If parts are left out, points without triangles are left out too.
         let isolated = match removed {
@@ -268,6 +277,7 @@ impl Engine {
             full_triangles: cutter.pyramid.full_triangles - removed.map_or(0, |removed| removed.full_triangles),
             mesher_triangles: Some(cutter.full_triangles()),
             removed,
+            vanished_parts: vanished,
             active_cells: cutter.pyramid.active_cells,
             leaves,
             triangles: meshes.iter().map(|mesh| triangles(mesh) as u64).sum(),

@@ -45,7 +45,7 @@ impl Engine {
         cancel: &dyn Cancel,
     ) -> Result<(Surface, f32, RefinementCost)> {
         let before = self.cx.pool.restart();
-        let cutter = self.cutter_without_parts(volume, pyramid, tree, params, &goal.without, cancel)?;
+        let cutter = self.cutter_for(volume, pyramid, tree, params, goal, cancel)?;
         let (mut work, mut tolerance) = self.cut_tree(&cutter, params, goal, cancel)?;
         let importances = cutter.importances(params)?;
         let limit = goal.max_tolerance.min(f32::MAX);

@@ -22,7 +22,7 @@ kernel_args! {
         first_key: u32,
         /// A bin holds 2^shift keys.
         shift: u32,
-        /// Active regions.
+        /// Active regions, or blocks of the vertex tree.
         regions: u32,
     }
 }
@@ -30,13 +30,13 @@ kernel_args! {
 /// Work-groups, each with bins of its own, which the host adds up: enough for a large GPU.
 const GROUPS: usize = 128;
 
-fn args(volume: &Volume, pyramid: &Pyramid, params: CutParams, range: Keys) -> CurveArgs {
+fn args(volume: &Volume, regions: usize, params: CutParams, range: Keys) -> CurveArgs {
     CurveArgs {
         grid: volume.layout(),
         params,
         first_key: range.first,
         shift: range.shift,
-        regions: pyramid.host_regions.len() as u32,
+        regions: regions as u32,
     }
 }
 
@@ -72,7 +72,7 @@ pub fn of_cut(
     keys: &Buffer<u32>,
 ) -> Result<Vec<f64>> {
     let inputs: [&dyn Arg; 8] = [
-        &args(volume, pyramid, criterion.params, range),
+        &args(volume, pyramid.host_regions.len(), criterion.params, range),
         &criterion.points,
         &criterion.interests,
         &pyramid.regions,
@@ -96,7 +96,7 @@ pub fn of_tree(
 ) -> Result<Vec<f64>> {
     let built = &tree.built;
     let inputs: [&dyn Arg; 5] = [
-        &args(volume, pyramid, params, range),
+        &args(volume, tree.blocks.len(), params, range),
         &built.regions,
         &built.node_errors,
         &built.node_parents,

@@ -37,6 +37,8 @@ kernel_args! {
         points: u32,
         /// 1: the volume was padded by one sample on every side.
         cap: u32,
+        /// Number of regions, which are the first blocks of the tree.
+        regions: u32,
     }
     /// Arguments of `error_seeds`, `error_regions` and `error_far`.
     ErrorSeedsArgs {
@@ -150,6 +152,7 @@ fn leaves_args(volume: &Volume, pyramid: &Pyramid, tree: &VertexTree) -> ErrorLe
         cell_points: tree.cell_points,
         points: tree.point_count(),
         cap: tree.cap.into(),
+        regions: pyramid.host_regions.len() as u32,
     }
 }
 
@@ -242,7 +245,7 @@ impl Measurement<'_> {
             cx.launch(
                 STAGE,
                 &kernel("error_leaves")?,
-                pyramid.host_regions.len(),
+                cut.tree.blocks.len(),
                 cx.tuning.region_group,
                 &[
                     &leaves_args(self.volume, pyramid, cut.tree),

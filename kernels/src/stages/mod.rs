@@ -41,10 +41,13 @@ stages! {
     dual
     error: samples
     tree
+    tree_begin
     tree_build
+    tree_rise
     tree_part
     tree_cut
     tree_test
+    tree_test_above
     tree_mesh
     tree_relax
     slice: samples

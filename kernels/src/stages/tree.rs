@@ -4,7 +4,7 @@
 use super::args::kernel_args;
 use crate::buffer::Buffer;
 use crate::context::Context;
-use crate::layout::{CutParams, Grid, RegionMesh, TreeRegion};
+use crate::layout::{CutParams, Grid, Region, RegionMesh, TreeCluster, TreeMembers, TreeRegion};
 use crate::tree::Built;
 use crate::{Pyramid, Result, Volume, constants};
 use std::ops::Range;
@@ -22,11 +22,11 @@ kernel_args! {
     }
     /// Arguments of `tree_gather`.
     TreeGatherArgs {
-        /// Extent of the volume.
+        /// Extent of the volume, in blocks of the level instead of regions.
         grid: Grid,
-        /// First region of this launch.
+        /// First block of this launch.
         first_region: u32,
-        /// 1: the triangles are written; 0: they are counted.
+        /// 0: the triangles are counted; 1: they are written, and the numbers of those of other blocks; 2: without these.
         fill: u32,
     }
 }
@@ -74,46 +74,90 @@ pub fn points(
     )
 }
 
-/// The full dual mesh as triangles between points.
-pub struct Mesh<'a> {
+/// The clusters that have risen to a level from the one below, without their positions.
+#[derive(Clone, Copy)]
+pub struct Risen<'a> {
+    pub clusters: &'a Buffer<TreeCluster>,
+    pub members: &'a Buffer<TreeMembers>,
+}
+
+/// A level of the tree while it is built: its blocks, and the mesh that it begins with.
+#[derive(Clone, Copy)]
+pub struct Level<'a> {
+    /// 0: the blocks are regions.
+    pub number: u32,
+    /// There is one block.
+    pub is_last: bool,
+    /// Extent of the volume, in blocks instead of regions.
+    pub grid: Grid,
     pub params: &'a CutParams,
+    /// Place of each block, and its points or clusters.
+    pub regions: &'a Buffer<Region>,
+    /// Number of the block at each place of the grid, or [`crate::layout::NONE`].
+    pub region_index: &'a Buffer<u32>,
     pub meshes: &'a Buffer<RegionMesh>,
-    /// Three points a triangle.
+    /// Three points or clusters a triangle.
     pub corners: &'a Buffer<u32>,
+    /// Position of each point or cluster, and its slot or flags.
     pub points: &'a Buffer<[i32; 4]>,
     /// Number of points of cells and sheets.
     pub cell_points: u32,
+    /// At level 0 any buffers.
+    pub risen: Risen<'a>,
 }
 
-/// Counts the triangles that have a corner in each region. With `output`, writes the triangles of some regions to working memory, and
-/// the numbers of those that belong to other regions' meshes.
+/// The first level at which merges that turn or fold the surface are not forbidden but cost more.
+const FIRST_SOFT: u32 = 3;
+
+impl Level<'_> {
+    /// Whether merges that turn or fold the surface are not forbidden but cost more.
+    pub fn is_soft(&self) -> bool {
+        self.is_last || self.number >= FIRST_SOFT
+    }
+}
+
+/// What [`gather`] writes.
+#[derive(Clone, Copy)]
+pub enum Gathered<'a> {
+    /// The number of triangles.
+    Count,
+    /// The triangles.
+    Triangles(&'a Buffer<u32>),
+    /// The triangles, and the numbers of those that belong to other blocks' meshes.
+    Beside(&'a Buffer<u32>, &'a Buffer<u32>),
+}
+
+/// Counts the triangles that have a corner in each of some blocks, or writes them to working memory.
 pub fn gather(
     cx: &Context,
     volume: &Volume,
-    pyramid: &Pyramid,
-    mesh: &Mesh<'_>,
-    regions: Range<usize>,
+    level: &Level<'_>,
+    blocks: Range<usize>,
     tree_regions: &Buffer<TreeRegion>,
-    output: Option<[&Buffer<u32>; 2]>,
+    output: Gathered<'_>,
 ) -> Result<()> {
-    let args = TreeGatherArgs {
-        grid: volume.layout(),
-        first_region: regions.start as u32,
-        fill: output.is_some().into(),
-    };
     // If nothing is written, any buffers serve as these arguments.
-    let [triangles, beside] = output.unwrap_or([mesh.corners; 2]);
+    let (fill, triangles, beside) = match output {
+        Gathered::Count => (0, level.corners, level.corners),
+        Gathered::Beside(triangles, beside) => (1, triangles, beside),
+        Gathered::Triangles(triangles) => (2, triangles, level.corners),
+    };
+    let args = TreeGatherArgs {
+        grid: level.grid,
+        first_region: blocks.start as u32,
+        fill,
+    };
     cx.launch(
         STAGE,
         &cx.kernel(volume.sample_type, "tree_gather")?,
-        regions.len(),
+        blocks.len(),
         cx.tuning.region_group,
         &[
             &args,
-            &pyramid.region_index,
-            &pyramid.regions,
-            mesh.meshes,
-            mesh.corners,
+            level.region_index,
+            level.regions,
+            level.meshes,
+            level.corners,
             tree_regions,
             triangles,
             beside,
@@ -122,11 +166,12 @@ pub fn gather(
 }
 
 impl Built {
-    /// Allocates a tree of `points` points.
-    pub fn new(cx: &Context, points: usize, regions: Buffer<TreeRegion>) -> Result<Self> {
+    /// Allocates a tree of `points` points, without its blocks.
+    pub fn new(cx: &Context, points: usize) -> Result<Self> {
         Ok(Self {
-            round_ends: cx.buffer(STAGE, regions.len() * constants::TREE_ROUNDS as usize)?,
-            regions,
+            regions: cx.buffer(STAGE, 0)?,
+            node_count: 0,
+            round_ends: cx.buffer(STAGE, 0)?,
             nodes: cx.buffer(STAGE, points)?,
             node_errors: cx.buffer(STAGE, points)?,
             node_levels: cx.buffer(STAGE, points)?,
@@ -137,7 +182,7 @@ impl Built {
 }
 
 /// Returns for each triangle of the full mesh the node whose merge collapses it. Needs the finished tree of all regions.
-pub fn collapses(cx: &Context, volume: &Volume, mesh: &Mesh<'_>, built: &Built) -> Result<Buffer<u32>> {
+pub fn collapses(cx: &Context, volume: &Volume, mesh: &Level<'_>, built: &Built) -> Result<Buffer<u32>> {
     let collapsed_by = cx.buffer(STAGE, mesh.corners.len() / 3)?;
     cx.launch(
         STAGE,
@@ -160,7 +205,7 @@ pub fn point_corners(
     cx: &Context,
     volume: &Volume,
     pyramid: &Pyramid,
-    mesh: &Mesh<'_>,
+    mesh: &Level<'_>,
     built: &Built,
     beside: &Buffer<u32>,
 ) -> Result<(Buffer<u32>, Buffer<u32>)> {

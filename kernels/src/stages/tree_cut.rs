@@ -9,6 +9,7 @@ use crate::stages::cut::Criterion;
 use crate::stages::fit::Keys;
 use crate::tree::{Importances, LeftOut, VertexTree};
 use crate::{Level, Pyramid, Result, Volume, constants};
+use std::ops::Range;
 use std::sync::Arc;
 
 /// Name of the stage.
@@ -19,6 +20,12 @@ kernel_args! {
     TreeWeighArgs {
         /// What the importance depends on.
         params: CutParams,
+        /// First block of this launch.
+        first_block: u32,
+        /// Number of regions, which are the first blocks.
+        regions: u32,
+        /// Number of the block of nodes at which parts vanish, or `NONE`.
+        vanishing: u32,
     }
     /// Arguments of `tree_histogram`.
     TreeHistogramArgs {
@@ -39,6 +46,10 @@ kernel_args! {
         first: u32,
         /// 1: parts are left out; 0: none are.
         removes: u32,
+        /// First block of this launch.
+        first_block: u32,
+        /// Number of regions, which are the first blocks.
+        regions: u32,
     }
 }
 
@@ -58,15 +69,17 @@ pub struct Cutter<'a> {
     pub tree: &'a VertexTree,
     /// Parts that cuts leave out.
     pub left_out: Option<Arc<LeftOut>>,
+    /// Whether small parts may vanish.
+    pub may_vanish: bool,
 }
 
 /// State of a cut that is repeated until its topology is that of the full mesh.
 pub struct CutWork {
     /// 1: the node is never merged.
     pub(super) marks: Buffer<u8>,
-    /// Of each region, whether there are new marks.
+    /// Of each block, whether there are new marks.
     pub(super) marked: Buffer<u32>,
-    /// Of each region, whether its keys differ from those of the previous cut.
+    /// Of each block, whether its keys differ from those of the previous cut.
     pub(super) renewed: Buffer<u32>,
     pub keys: Buffer<u32>,
     /// The leaf of each node that is merged, and of each point.
@@ -75,7 +88,7 @@ pub struct CutWork {
     /// Region by region, the points whose leaf differs from that in the previous cut; then their number per region.
     pub(super) changed: Buffer<u32>,
     pub(super) changed_counts: Buffer<u32>,
-    /// Triangles that each region's merged nodes remove.
+    /// Triangles that each block's merged nodes remove.
     merged: Buffer<u32>,
     /// Triangles by region and level, and their numbers.
     pub(super) meshes: Buffer<RegionMesh>,
@@ -101,10 +114,6 @@ impl CutWork {
 }
 
 impl Cutter<'_> {
-    pub(super) fn launch(&self, kernel: &str, args: &[&dyn Arg]) -> Result<()> {
-        self.launch_regions(STAGE, kernel, args)
-    }
-
     /// One work-group a region.
     pub(super) fn launch_regions(&self, stage: &'static str, kernel: &str, args: &[&dyn Arg]) -> Result<()> {
         self.launch_groups(stage, kernel, self.regions(), self.cx.tuning.region_group, args)
@@ -116,7 +125,7 @@ impl Cutter<'_> {
     }
 
     /// `groups` work-groups of `local` work-items.
-    fn launch_groups(
+    pub(super) fn launch_groups(
         &self,
         stage: &'static str,
         kernel: &str,
@@ -137,6 +146,16 @@ impl Cutter<'_> {
         self.pyramid.host_regions.len()
     }
 
+    /// The blocks of each level, beginning with the regions.
+    fn levels(&self) -> &[Range<usize>] {
+        &self.tree.block_levels
+    }
+
+    /// One work-group a block of a level. `args` takes the number of the first one.
+    fn launch_level(&self, kernel: &str, blocks: &Range<usize>, args: &[&dyn Arg]) -> Result<()> {
+        self.launch_groups(STAGE, kernel, blocks.len(), self.cx.tuning.region_group, args)
+    }
+
     /// Returns the bits of the maximum importance of the points below each node; `None` if all are 0.
     pub fn importances(&self, params: &crate::CutParams) -> Result<Option<Arc<Buffer<u32>>>> {
         if !params.has_importance() {
@@ -155,26 +174,32 @@ impl Cutter<'_> {
     }
 
     fn weigh(&self, criterion: &Criterion) -> Result<Buffer<u32>> {
-        let importances = self.cx.buffer(STAGE, self.tree.built.nodes.len())?;
-        let args = TreeWeighArgs {
-            params: criterion.params,
-        };
-        self.launch(
-            "tree_weigh",
-            &[
-                &args,
-                &criterion.points,
-                &criterion.interests,
-                &self.pyramid.regions,
-                &self.tree.built.regions,
-                &self.tree.built.node_parents,
-                &self.tree.built.round_ends,
-                &self.tree.built.point_parents,
-                &self.tree.points,
-                &self.pyramid.nodes,
-                &importances,
-            ],
-        )?;
+        let importances = self.cx.zeroed(STAGE, self.tree.built.nodes.len())?;
+        for blocks in self.levels() {
+            let args = TreeWeighArgs {
+                params: criterion.params,
+                first_block: blocks.start as u32,
+                regions: self.regions() as u32,
+                vanishing: self.tree.vanishing.map_or(NONE, |block| block as u32),
+            };
+            self.launch_level(
+                "tree_weigh",
+                blocks,
+                &[
+                    &args,
+                    &criterion.points,
+                    &criterion.interests,
+                    &self.pyramid.regions,
+                    &self.tree.built.regions,
+                    &self.tree.built.node_parents,
+                    &self.tree.built.round_ends,
+                    &self.tree.built.point_parents,
+                    &self.tree.points,
+                    &self.pyramid.nodes,
+                    &importances,
+                ],
+            )?;
+        }
         Ok(importances)
     }
 
@@ -186,7 +211,7 @@ impl Cutter<'_> {
     /// Root mean square distance, in world units, of a cut whose leaves' squared errors add up to `error2`. The mean is over the area of
     /// the full surface without the parts that cuts leave out.
     pub fn rms(&self, error2: f64) -> f32 {
-        let regions = self.tree.host_regions.iter();
+        let regions = self.tree.blocks[..self.regions()].iter();
         let area = match &self.left_out {
             Some(left_out) => left_out.area_left,
             None => regions.map(|region| f64::from(region.area)).sum::<f64>(),
@@ -201,22 +226,27 @@ impl Cutter<'_> {
     pub fn begin(&self) -> Result<CutWork> {
         let (nodes, points) = (self.tree.built.nodes.len(), self.tree.points.len());
         let triangles = self.tree.full_triangles as usize + self.tree.beside.len();
+        let blocks = self.tree.blocks.len();
         let edge_words = if self.cx.tuning.region_group == 1 { 2 } else { 1 };
-        let marks = self.cx.zeroed(STAGE, nodes)?;
+        let mut marks = self.cx.zeroed(STAGE, nodes)?;
+        if !self.may_vanish {
+            let kept = self.tree.vanishing_nodes();
+            self.cx.write_at(STAGE, &mut marks, kept.start, &vec![1; kept.len()])?;
+        }
         if let Some(left_out) = &self.left_out {
             self.mark_removed(&left_out.points, &marks)?;
         }
         Ok(CutWork {
             marks,
-            marked: self.cx.filled(STAGE, self.regions(), 1)?,
-            renewed: self.cx.buffer(STAGE, self.regions())?,
+            marked: self.cx.filled(STAGE, blocks, 1)?,
+            renewed: self.cx.buffer(STAGE, blocks)?,
             // A slot without a node has a key above infinity.
             keys: self.cx.filled(STAGE, nodes, u32::MAX)?,
             tops: self.cx.buffer(STAGE, nodes)?,
             leaves: self.cx.buffer(STAGE, points)?,
             changed: self.cx.buffer(STAGE, points)?,
-            changed_counts: self.cx.buffer(STAGE, self.regions())?,
-            merged: self.cx.buffer(STAGE, self.regions())?,
+            changed_counts: self.cx.buffer(STAGE, blocks)?,
+            merged: self.cx.buffer(STAGE, blocks)?,
             meshes: self.cx.upload(STAGE, &vec![RegionMesh::default(); self.regions()])?,
             left: self.cx.buffer(STAGE, triangles)?,
             broken: self.cx.buffer(STAGE, self.regions())?,
@@ -233,21 +263,27 @@ impl Cutter<'_> {
     pub fn keys(&self, importances: Option<&Buffer<u32>>, work: &CutWork) -> Result<()> {
         let weighted = u32::from(importances.is_some());
         let importances = importances.unwrap_or(&self.tree.built.point_parents);
-        self.launch(
-            "tree_keys",
-            &[
-                &weighted,
-                &self.tree.built.regions,
-                &self.tree.built.node_errors,
-                &self.tree.built.node_parents,
-                &self.tree.built.round_ends,
-                importances,
-                &work.marks,
-                &work.marked,
-                &work.renewed,
-                &work.keys,
-            ],
-        )
+        // Keys depend on those of the nodes above.
+        for blocks in self.levels().iter().rev() {
+            self.launch_level(
+                "tree_keys",
+                blocks,
+                &[
+                    &weighted,
+                    &(blocks.start as u32),
+                    &self.tree.built.regions,
+                    &self.tree.built.node_errors,
+                    &self.tree.built.node_parents,
+                    &self.tree.built.round_ends,
+                    importances,
+                    &work.marks,
+                    &work.marked,
+                    &work.renewed,
+                    &work.keys,
+                ],
+            )?;
+        }
+        Ok(())
     }
 
     /// Returns the triangles removed once the tolerance passes each bin; the first bin is for keys before all others.
@@ -264,7 +300,7 @@ impl Cutter<'_> {
         self.cx.read(STAGE, &removed, removed.len())
     }
 
-    /// Cuts the tree: finds the leaf of each point. After a repair, only regions with new keys are cut again.
+    /// Cuts the tree: finds the leaf of each point. After a repair, only blocks with new keys are cut again.
     pub fn leaves(&self, work: &mut CutWork, tolerance: f32) -> Result<()> {
         work.is_first = tolerance != work.tolerance;
         work.tolerance = tolerance;
@@ -273,32 +309,38 @@ impl Cutter<'_> {
             Some(left_out) => &left_out.points,
             None => &self.tree.points,
         };
-        let args = TreeLeavesArgs {
-            tolerance,
-            points: self.tree.point_count(),
-            first: work.is_first.into(),
-            removes: self.left_out.is_some().into(),
-        };
-        self.launch(
-            "tree_leaves",
-            &[
-                &args,
-                &self.pyramid.regions,
-                &self.tree.built.regions,
-                &self.tree.built.node_levels,
-                &self.tree.built.node_parents,
-                &self.tree.built.round_ends,
-                &self.tree.built.point_parents,
-                removed,
-                &work.keys,
-                &work.renewed,
-                &work.tops,
-                &work.leaves,
-                &work.changed,
-                &work.changed_counts,
-                &work.merged,
-            ],
-        )
+        for blocks in self.levels().iter().rev() {
+            let args = TreeLeavesArgs {
+                tolerance,
+                points: self.tree.point_count(),
+                first: work.is_first.into(),
+                removes: self.left_out.is_some().into(),
+                first_block: blocks.start as u32,
+                regions: self.regions() as u32,
+            };
+            self.launch_level(
+                "tree_leaves",
+                blocks,
+                &[
+                    &args,
+                    &self.pyramid.regions,
+                    &self.tree.built.regions,
+                    &self.tree.built.node_levels,
+                    &self.tree.built.node_parents,
+                    &self.tree.built.round_ends,
+                    &self.tree.built.point_parents,
+                    removed,
+                    &work.keys,
+                    &work.renewed,
+                    &work.tops,
+                    &work.leaves,
+                    &work.changed,
+                    &work.changed_counts,
+                    &work.merged,
+                ],
+            )?;
+        }
+        Ok(())
     }
 
     /// Marks nodes and all their ancestors, so that no tolerance merges them. The next cut is computed from the beginning.
@@ -313,25 +355,46 @@ impl Cutter<'_> {
                 at = parents[at as usize];
             }
         }
+        // A part vanishes as a whole.
+        for node in self.tree.vanishing_nodes().rev() {
+            let parent = parents[node];
+            if parent != NONE && marks[parent as usize] != 0 {
+                marks[node] = 1;
+            }
+        }
         work.marks = self.cx.upload(STAGE, &marks)?;
-        work.marked = self.cx.filled(STAGE, self.regions(), 1)?;
+        work.marked = self.cx.filled(STAGE, work.marked.len(), 1)?;
         work.tolerance = f32::NAN;
         Ok(())
     }
 
     /// Triangles of a cut: those of the full mesh less those that its merged nodes remove.
     pub fn triangles(&self, work: &CutWork) -> Result<u64> {
-        let merged = self.cx.read(STAGE, &work.merged, self.regions())?;
+        let merged = self.merged(work)?;
         Ok(self.full_triangles() - merged.into_iter().map(u64::from).sum::<u64>())
     }
 
-    /// Sums over each region's leaves.
+    /// Triangles that the merged nodes of each block remove.
+    fn merged(&self, work: &CutWork) -> Result<Vec<u32>> {
+        self.cx.read(STAGE, &work.merged, work.merged.len())
+    }
+
+    /// Whether nodes of levels above the regions are merged in a cut, besides those at which parts vanish.
+    pub(super) fn merges_above(&self, work: &CutWork) -> Result<bool> {
+        let above = self.regions()..self.tree.vanishing.unwrap_or(self.tree.blocks.len());
+        Ok(self.tree.nodes_above() > 0 && self.merged(work)?[above].iter().any(|&removed| removed > 0))
+    }
+
+    /// Sums over each block's leaves.
     pub fn sums(&self, work: &CutWork) -> Result<Vec<TreeCutRegion>> {
-        let sums = self.cx.buffer(STAGE, self.regions())?;
-        self.launch(
+        let blocks = 0..self.tree.blocks.len();
+        let sums = self.cx.buffer(STAGE, blocks.len())?;
+        self.launch_level(
             "tree_sum",
+            &blocks,
             &[
                 &self.tree.point_count(),
+                &(self.regions() as u32),
                 &self.pyramid.regions,
                 &self.tree.built.regions,
                 &self.tree.built.node_errors,
@@ -341,7 +404,7 @@ impl Cutter<'_> {
                 &sums,
             ],
         )?;
-        self.cx.read(STAGE, &sums, self.regions())
+        self.cx.read(STAGE, &sums, blocks.len())
     }
 
     /// Each region's triangles, by level.

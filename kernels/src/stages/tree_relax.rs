@@ -13,6 +13,8 @@ kernel_args! {
         grid: Grid,
         /// Points of the surface.
         points: u32,
+        /// Leaves before those that are nodes of levels above the regions.
+        first_above: u32,
     }
 }
 
@@ -31,6 +33,7 @@ impl Cutter<'_> {
         let args = TreeOffsetsArgs {
             grid: volume.layout(),
             points: tree.point_count(),
+            first_above: tree.first_above(),
         };
         self.launch_wide(
             "tree_offsets",

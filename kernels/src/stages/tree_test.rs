@@ -19,6 +19,8 @@ kernel_args! {
         tolerance: f32,
         /// 1: parts are left out; 0: none are.
         removes: u32,
+        /// Leaves before those that are nodes of levels above the regions.
+        first_above: u32,
     }
 }
 
@@ -32,6 +34,12 @@ impl Cutter<'_> {
         } else {
             self.test_changed(work, &failed)?;
         }
+        if self.merges_above(work)? {
+            if !work.is_first {
+                self.list(work)?;
+            }
+            self.test_above(&self.args(work), work, &failed)?;
+        }
         Ok(self.cx.read(STAGE, &failed, 1)?[0] != 0)
     }
 
@@ -42,6 +50,7 @@ impl Cutter<'_> {
             points: self.tree.point_count(),
             tolerance: work.tolerance,
             removes: self.left_out.is_some().into(),
+            first_above: self.tree.first_above(),
         }
     }
 

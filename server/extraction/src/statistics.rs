@@ -142,6 +142,9 @@ pub struct ExtractionStatistics {
     pub removed_triangles: Option<u64>,
     /// Positions of `parts` with no surface next to them, which selected nothing. Null as `removedParts`.
     pub unmatched_positions: Option<u64>,
+    /// Parts that decimation has made vanish, because not even one tetrahedron a part is within the budget, or as `topology` is `free`.
+    /// Null: this is a cut of the octree, where parts that vanish are not counted.
+    pub vanished_parts: Option<u64>,
     /// Cells that the surface crosses.
     pub active_cells: u64,
     /// Leaves of the cut at each level, 0 (finest) first.
@@ -208,6 +211,7 @@ impl ExtractionStatistics {
         self.removed_parts = sum(self.removed_parts, next.removed_parts);
         self.removed_triangles = sum(self.removed_triangles, next.removed_triangles);
         self.unmatched_positions = sum(self.unmatched_positions, next.unmatched_positions);
+        self.vanished_parts = self.vanished_parts.zip(next.vanished_parts).map(|(a, b)| a + b);
         for guard in next.gave_way {
             if !self.gave_way.contains(&guard) {
                 self.gave_way.push(guard);
@@ -256,6 +260,7 @@ impl ExtractionStatistics {
         for stage in &kernels.stages {
             *stages_ms.entry(stage.stage.to_owned()).or_default() += stage.milliseconds;
         }
+        let is_tree_cut = view.is_by_error() && view.fitted.is_some_and(|fitted| fitted.is_tree_cut);
         Self {
             mesher: view.mesher,
             beta: view.beta_in_force(),
@@ -273,7 +278,7 @@ impl ExtractionStatistics {
             },
             feature_range: view.feature_range.filter(|_| view.feature != FeatureName::None),
             gave_way: view.gave_way(smallest),
-            is_tree_cut: view.is_by_error() && view.fitted.is_some_and(|fitted| fitted.is_tree_cut),
+            is_tree_cut,
             error: kernels.error.and_then(|error| MeasuredError::in_world(error, smallest)),
             estimated_error: Some(EstimatedError::in_world(kernels.estimate, smallest)),
             full_triangles: kernels.full_triangles,
@@ -281,6 +286,7 @@ impl ExtractionStatistics {
             removed_parts: kernels.removed.map(|removed| removed.parts),
             removed_triangles: kernels.removed.map(|removed| removed.full_triangles),
             unmatched_positions: kernels.removed.map(|removed| removed.unmatched),
+            vanished_parts: is_tree_cut.then_some(kernels.vanished_parts),
             active_cells: kernels.active_cells,
             leaves: kernels.leaves,
             triangles: kernels.triangles,

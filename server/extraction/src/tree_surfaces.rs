@@ -8,7 +8,7 @@ use isopeel_kernels::{
     VertexTree, lock,
 };
 use isopeel_view::View;
-use isopeel_view::quality::{Fitted, MaxError};
+use isopeel_view::quality::{Fitted, MaxError, TopologyName};
 use isopeel_volumes::VolumeStep;
 
 use super::context::JobContext;
@@ -128,6 +128,10 @@ impl OnDevice<'_> {
             max_triangles: view.max_triangles(full).unwrap_or(u64::MAX),
             max_tolerance: self.error_guard(view),
             without,
+            may_vanish: view.topology == TopologyName::Free
+                || view
+                    .fitted
+                    .is_some_and(|fitted| fitted.is_tree_cut && fitted.topology == Topology::Free),
         })
     }
 
@@ -177,10 +181,11 @@ impl OnDevice<'_> {
         let Some(tree) = self.tree(view, &params, cancel)? else {
             return Ok(TreeCut::NoTree);
         };
-        let goal = self.tree_goal(view, &tree, &params, cancel)?;
-        let (surface, tolerance) =
-            self.engine
-                .tree_surface(self.volume, self.pyramid, &tree, &params, &goal, cancel)?;
+        let goal = TreeGoal {
+            may_vanish: view.topology == TopologyName::Free,
+            ..self.tree_goal(view, &tree, &params, cancel)?
+        };
+        let (surface, tolerance, may_vanish) = self.cut_to_budget(view, &tree, &params, goal.clone(), cancel)?;
         let triangles = surface.statistics.triangles;
         let refusal = if triangles > goal.max_triangles {
             Some(WorkError::OverBudget {
@@ -198,11 +203,37 @@ impl OnDevice<'_> {
         }
         view.fitted = Some(Fitted {
             threshold: tolerance,
-            topology: Topology::Preserve,
+            topology: if may_vanish { Topology::Free } else { Topology::Preserve },
             triangles: goal.max_triangles,
             is_tree_cut: true,
         });
         Ok(TreeCut::Made(self.with_all_stages(surface)))
+    }
+
+    /// Cuts the tree. Where the topology is `auto`, small parts vanish if no cut with all parts is within the budget. Also returns the
+    /// tolerance, and whether the topology has given way.
+    fn cut_to_budget(
+        &self,
+        view: &View,
+        tree: &VertexTree,
+        params: &CutParams,
+        goal: TreeGoal,
+        cancel: &dyn Cancel,
+    ) -> Result<(Surface, f32, bool), JobError> {
+        let cut = |goal: &TreeGoal| {
+            self.engine
+                .tree_surface(self.volume, self.pyramid, tree, params, goal, cancel)
+        };
+        let (surface, tolerance) = cut(&goal)?;
+        if surface.statistics.triangles <= goal.max_triangles || view.topology != TopologyName::Auto {
+            return Ok((surface, tolerance, goal.may_vanish));
+        }
+        let (surface, tolerance) = cut(&TreeGoal {
+            may_vanish: true,
+            ..goal
+        })?;
+        let gave_way = surface.statistics.vanished_parts > 0;
+        Ok((surface, tolerance, gave_way))
     }
 
     /// Makes a coarser cut of the tree than the view's final one. The coarser cut has the same parts and topology, but no guard on the
@@ -221,6 +252,7 @@ impl OnDevice<'_> {
         let coarser = TreeGoal {
             max_triangles: goal.max_triangles.min(limits.triangles),
             max_tolerance: f32::INFINITY,
+            may_vanish: view.topology == TopologyName::Free,
             ..goal
         };
         let surface = self

@@ -300,7 +300,11 @@ fn gave_way(guard: GuardName, statistics: &ExtractionStatistics) -> String {
             "the guard on the error gave way to the budget: parts were merged up to an error of {}",
             statistics.tolerance.unwrap_or_default()
         ),
-        GuardName::Topology => "the guard on the topology gave way to the budget: small parts may have vanished".into(),
+        GuardName::Topology => match statistics.vanished_parts {
+            Some(1) => "the guard on the topology gave way to the budget: one small part vanished".into(),
+            Some(parts) => format!("the guard on the topology gave way to the budget: {parts} small parts vanished"),
+            None => "the guard on the topology gave way to the budget: small parts may have vanished".into(),
+        },
     }
 }
 

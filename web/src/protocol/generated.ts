@@ -864,6 +864,11 @@ export type Statistics = {
   removedTriangles: number | null,
   /** Positions of `parts` with no surface next to them, which selected nothing. Null as `removedParts`. */
   unmatchedPositions: number | null,
+  /**
+   * Parts that decimation has made vanish, because not even one tetrahedron a part is within the budget, or as `topology` is `free`.
+   * Null: this is a cut of the octree, where parts that vanish are not counted.
+   */
+  vanishedParts: number | null,
   /** Cells that the surface crosses. */
   activeCells: number,
   /** Leaves of the cut at each level, 0 (finest) first. */

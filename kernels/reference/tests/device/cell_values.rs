@@ -69,6 +69,7 @@ fn check(engine: &Engine, recipe: &Recipe, seed: u64) -> Result<[usize; 2], Test
         max_triangles,
         max_tolerance: f32::INFINITY,
         without: PartFilter::default(),
+        may_vanish: false,
     };
     let goals = [
         goal(-1.0, full),

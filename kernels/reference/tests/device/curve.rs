@@ -17,6 +17,7 @@ fn goal(tolerance: f32) -> TreeGoal {
         max_triangles: u64::MAX,
         max_tolerance: f32::INFINITY,
         without: PartFilter::default(),
+        may_vanish: false,
     }
 }
 
@@ -45,6 +46,7 @@ fn check_tree(engine: &Engine, recipe: &Recipe, seed: u64) -> Result<(), TestCas
         mesh: &host.mesh,
         tree: &host.tree,
         removed: &removed,
+        may_vanish: false,
     };
     let importances = host.importances(engine, &planted, &cutter, &params)?;
     let want = cutter.cut(importances.as_ref(), &goal).expect("a cut without faults");

@@ -52,6 +52,7 @@ fn check_tree(engine: &Engine, recipe: &Recipe, seed: u64, bins: u32) -> Result<
             max_triangles: u64::MAX,
             max_tolerance: f32::INFINITY,
             without: PartFilter { min_area, chosen: None },
+            may_vanish: false,
         };
         cut(engine, &planted, &params, &goal);
         let (volume, pyramid, tree) = (&planted.loaded.volume, &planted.pyramid, &planted.tree);
@@ -71,6 +72,7 @@ fn check_tree(engine: &Engine, recipe: &Recipe, seed: u64, bins: u32) -> Result<
             mesh,
             tree: &host.tree,
             removed,
+            may_vanish: false,
         };
         let importances = host.importances(engine, &planted, &cutter, &params)?;
         let want = cutter.cut(importances.as_ref(), &goal).expect("a cut without faults");

@@ -5,9 +5,11 @@ use super::*;
 use isopeel_kernels::layout;
 use isopeel_kernels::testing::{TreeContents, node_importances, read_tree};
 use isopeel_reference::octahedral;
-use isopeel_reference::tree::{BlockTree, FullMesh, LATTICE, Node, NodeId, Point, Tree};
+use isopeel_reference::tree::{
+    BlockId, BlockTree, FullMesh, Node, NodeId, Point, Tree, decode_max_move, last_level, vanishing_level,
+};
 use isopeel_reference::tree_cut::{Cutter, OfNodes};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// The full dual mesh and its tree.
 pub struct HostTree {
@@ -17,8 +19,54 @@ pub struct HostTree {
     pub collapsed_by: BTreeMap<[u32; 3], Vec<Option<NodeId>>>,
     /// Unit normals of the nodes.
     pub normals: BTreeMap<NodeId, [f32; 3]>,
-    /// The first node of each region.
-    node_bases: BTreeMap<[u32; 3], u32>,
+    /// The first node of each block.
+    node_bases: BTreeMap<BlockId, u32>,
+}
+
+/// Which block each record of the device's tree is of: those of level 0 are of the active regions in their order, then come the blocks of
+/// level 1 in linear order, then those of level 2, and so on; and the one at which parts vanish, if any do.
+struct Records {
+    blocks: Vec<BlockId>,
+    /// The first node of each record; ascending.
+    node_bases: Vec<u32>,
+}
+
+impl Records {
+    fn new(grid: &Grid, regions: &[[u32; 3]], contents: &TreeContents) -> Self {
+        let of_level = |level: u8| {
+            let coords = regions.iter().map(|&region| BlockId::of_region(level, region).coords);
+            let linear: BTreeSet<[u32; 3]> = coords.map(|[x, y, z]| [z, y, x]).collect();
+            linear.into_iter().map(move |[z, y, x]| BlockId {
+                level,
+                coords: [x, y, z],
+            })
+        };
+        let lowest = regions.iter().map(|&region| BlockId::of_region(0, region));
+        let mut blocks: Vec<BlockId> = lowest.chain((1..=last_level(grid)).flat_map(of_level)).collect();
+        if contents.regions.len() > blocks.len() {
+            blocks.push(BlockId {
+                level: vanishing_level(grid),
+                coords: [0; 3],
+            });
+        }
+        assert_eq!(contents.regions.len(), blocks.len(), "one record a block");
+        let node_bases: Vec<u32> = contents.regions.iter().map(|record| record.node_base).collect();
+        assert!(node_bases.is_sorted(), "nodes of lower levels first");
+        Self { blocks, node_bases }
+    }
+
+    /// The node of a number; none for [`layout::NONE`].
+    fn node(&self, number: u32) -> Option<NodeId> {
+        if number == layout::NONE {
+            return None;
+        }
+        // Blocks without nodes begin where the next one does.
+        let record = self.node_bases.partition_point(|&base| base <= number) - 1;
+        Some(NodeId {
+            block: self.blocks[record],
+            index: (number - self.node_bases[record]) as usize,
+        })
+    }
 }
 
 impl HostTree {
@@ -37,22 +85,17 @@ impl HostTree {
             points: points(&host, &contents),
             triangles: at.iter().copied().zip(triangles).collect(),
         };
-        let blocks = (0..at.len()).map(|i| (at[i], block(&contents, i, at[i]))).collect();
-        let node_bases: BTreeMap<[u32; 3], u32> = at
-            .iter()
-            .copied()
-            .zip(contents.regions.iter().map(|r| r.node_base))
-            .collect();
-        let parents = contents.point_parents.iter().zip(&mesh.points);
-        let point_parents = parents
-            .map(|(&parent, point)| index_in(node_bases[&point.region], parent))
-            .collect();
+        let records = Records::new(&mesh.grid, &at, &contents);
+        let blocks = records.blocks.iter().enumerate();
+        let blocks = blocks.map(|(i, &id)| (id, block(&contents, &records, i))).collect();
+        let parents = contents.point_parents.iter();
+        let point_parents = parents.map(|&parent| records.node(parent)).collect();
         Self {
             mesh,
             tree: Tree { blocks, point_parents },
-            collapsed_by: collapsed_by(&contents, &at),
-            normals: normals(&contents, &at),
-            node_bases,
+            collapsed_by: collapsed_by(&contents, &at, &records),
+            normals: normals(&contents, &records),
+            node_bases: records.blocks.into_iter().zip(records.node_bases).collect(),
         }
     }
 
@@ -70,19 +113,15 @@ impl HostTree {
         let read = node_importances(engine, &loaded.volume, pyramid, tree, params).expect("importances");
         let Some(read) = read else { return Ok(None) };
         let mut got = OfNodes::new();
-        for (coords, want) in cutter.importances(params) {
-            let of_region = &read[self.node_bases[&coords] as usize..][..want.len()];
-            for (got, want) in of_region.iter().zip(want) {
+        for (id, want) in cutter.importances(params) {
+            let of_block = &read[self.node_bases[&id] as usize..][..want.len()];
+            for (got, want) in of_block.iter().zip(want) {
                 prop_assert!((got - want).abs() < 1e-4, "importance {}, expected {}", got, want);
             }
-            got.insert(coords, of_region.to_vec());
+            got.insert(id, of_block.to_vec());
         }
         Ok(Some(got))
     }
-}
-
-fn index_in(base: u32, node: u32) -> Option<usize> {
-    (node != layout::NONE).then(|| (node - base) as usize)
 }
 
 fn points(host: &HostPyramid, contents: &TreeContents) -> Vec<Point> {
@@ -101,16 +140,15 @@ fn points(host: &HostPyramid, contents: &TreeContents) -> Vec<Point> {
     contents.points.iter().enumerate().map(point).collect()
 }
 
-fn collapsed_by(contents: &TreeContents, at: &[[u32; 3]]) -> BTreeMap<[u32; 3], Vec<Option<NodeId>>> {
-    let node = |&number: &u32| {
-        let region = contents.nodes.get(number as usize)?.meta >> 6;
-        let base = contents.regions[region as usize].node_base;
-        Some((at[region as usize], (number - base) as usize))
-    };
+fn collapsed_by(
+    contents: &TreeContents,
+    at: &[[u32; 3]],
+    records: &Records,
+) -> BTreeMap<[u32; 3], Vec<Option<NodeId>>> {
     let of_region = |mesh: &layout::RegionMesh| {
         let first = mesh.triangle_base as usize;
         let numbers = &contents.collapsed_by[first..first + mesh.triangles[0] as usize];
-        numbers.iter().map(node).collect()
+        numbers.iter().map(|&number| records.node(number)).collect()
     };
     at.iter().copied().zip(contents.meshes.iter().map(of_region)).collect()
 }
@@ -120,39 +158,58 @@ fn normal(normal_s: u32) -> [f32; 3] {
     octahedral::decode([x, y].map(|b| f32::from(b.cast_signed()) / 127.0))
 }
 
-fn normals(contents: &TreeContents, at: &[[u32; 3]]) -> BTreeMap<NodeId, [f32; 3]> {
-    let of_region = |(region, &at): (&layout::TreeRegion, &[u32; 3])| {
-        let first = region.node_base as usize;
-        let nodes = contents.nodes[first..first + region.nodes as usize].iter().enumerate();
-        nodes
-            .map(move |(i, node)| ((at, i), normal(node.normal_s)))
-            .collect::<Vec<_>>()
+fn normals(contents: &TreeContents, records: &Records) -> BTreeMap<NodeId, [f32; 3]> {
+    let of_block = |(record, &block): (&layout::TreeRegion, &BlockId)| {
+        let first = record.node_base as usize;
+        let nodes = contents.nodes[first..first + record.nodes as usize].iter().enumerate();
+        let of_node = move |(index, node): (usize, &layout::TreeNode)| (NodeId { block, index }, normal(node.normal_s));
+        nodes.map(of_node).collect::<Vec<_>>()
     };
-    contents.regions.iter().zip(at).flat_map(of_region).collect()
+    contents
+        .regions
+        .iter()
+        .zip(&records.blocks)
+        .flat_map(of_block)
+        .collect()
 }
 
-fn block(contents: &TreeContents, index: usize, at: [u32; 3]) -> BlockTree {
-    let region = &contents.regions[index];
+/// Position in the volume, and maximum movement. The position is packed from the block's low corner, in 2^level steps of the lattice.
+fn position_and_move(node: &layout::TreeNode, block: BlockId) -> ([i32; 3], f32) {
+    let [low, high] = node.position;
+    let steps = [low & 0x1_ffff, low >> 17 | (high & 3) << 15, high >> 2 & 0x1_ffff];
+    let corner = block.low_corner();
+    let position = std::array::from_fn(|i| corner[i] + ((steps[i] as i32) << block.level));
+    (position, decode_max_move(high >> 19 & 0x1ff))
+}
+
+/// Reads the nodes of a record.
+fn block(contents: &TreeContents, records: &Records, index: usize) -> BlockTree {
+    let record = &contents.regions[index];
     let node = |i: u32| {
-        let node = &contents.nodes[(region.node_base + i) as usize];
-        let error = contents.node_errors[(region.node_base + i) as usize];
-        assert_eq!((node.meta >> 6) as usize, index, "the node's region");
-        let [low, high] = node.position;
-        let from_low = [low & 0x1_ffff, low >> 17 | (high & 3) << 15, high >> 2];
+        let number = (record.node_base + i) as usize;
+        let (node, error) = (&contents.nodes[number], contents.node_errors[number]);
+        assert_eq!(node.meta >> 6, record.region, "a region of the node's block");
+        assert_eq!(
+            node.position[1] >> 28,
+            u32::from(records.blocks[index].level),
+            "its level"
+        );
+        let (position, max_move) = position_and_move(node, records.blocks[index]);
         Node {
-            parent: index_in(region.node_base, contents.node_parents[(region.node_base + i) as usize]),
-            position: std::array::from_fn(|i| at[i] as i32 * 32 * LATTICE + from_low[i] as i32),
+            parent: records.node(contents.node_parents[number]),
+            position,
             error: error.abs(),
             removed: if error.is_sign_negative() { 1 } else { 2 },
             level: (node.meta & 7) as u8,
             on_border: node.meta >> 3 & 1 == 1,
             s: (node.normal_s >> 16) as f32 / 65535.0,
             f: node.f,
+            max_move,
         }
     };
     BlockTree {
-        nodes: (0..region.nodes).map(node).collect(),
+        nodes: (0..record.nodes).map(node).collect(),
         round_ends: contents.round_ends[index].iter().map(|&n| n as usize).collect(),
-        area: region.area,
+        area: record.area,
     }
 }

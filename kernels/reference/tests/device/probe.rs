@@ -8,6 +8,7 @@ use super::tree_cut::cut;
 use super::*;
 use isopeel_kernels::{PartFilter, ShownCut, TreeGoal};
 use isopeel_reference::probe::{NearestCell, nearest_cell};
+use isopeel_reference::tree::BlockId;
 use isopeel_reference::tree_cut::{Cutter, TreeLeaf};
 use isopeel_reference::tree_part::parts;
 use std::collections::BTreeSet;
@@ -118,7 +119,7 @@ fn leaves_of_the_tree_are_the_twins() {
         let (planted, mut random) = (plant(&engine, &recipe, false), Random(seed));
         let host = HostPyramid::read(&engine, &planted.pyramid);
         let params = params(&mut random, recipe.dims);
-        let goal = TreeGoal { tolerance: 0.1, max_triangles: u64::MAX, max_tolerance: f32::INFINITY, without: PartFilter::default() };
+        let goal = TreeGoal { tolerance: 0.1, max_triangles: u64::MAX, max_tolerance: f32::INFINITY, without: PartFilter::default(), may_vanish: false };
         cut(&engine, &planted, &params, &goal);
         let (volume, pyramid) = (&planted.loaded.volume, &planted.pyramid);
         let shown = engine.shown_tree_cut(volume, pyramid, &planted.tree, &params, &goal, &Never).expect("the cut");
@@ -127,7 +128,7 @@ fn leaves_of_the_tree_are_the_twins() {
         engine.removed_parts(volume, pyramid, &planted.tree, &params, &small, &Never).expect("the parts");
         let of_tree = HostTree::read(&engine, &planted);
         let removed = BTreeSet::new();
-        let cutter = Cutter { mesh: &of_tree.mesh, tree: &of_tree.tree, removed: &removed };
+        let cutter = Cutter { mesh: &of_tree.mesh, tree: &of_tree.tree, removed: &removed, may_vanish: false };
         let importances = of_tree.importances(&engine, &planted, &cutter, &params)?;
         let want = cutter.cut(importances.as_ref(), &goal).expect("a cut without faults");
         let pyramid_twin = filled(&host, &planted.loaded);
@@ -151,12 +152,13 @@ fn leaves_of_the_tree_are_the_twins() {
             prop_assert_eq!(found.level, cutter.level(leaf));
             let error = match leaf {
                 TreeLeaf::Point(_) => 0.0,
-                TreeLeaf::Node((region, node)) => {
-                    let block = &of_tree.tree.blocks[&region];
-                    let of_region = |p: &usize| of_tree.mesh.points[*p].region == region;
-                    let all = (0..want.leaves.len()).filter(of_region).count() as f32;
+                TreeLeaf::Node(id) => {
+                    let block = &of_tree.tree.blocks[&id.block];
+                    let region_of = |p: &usize| of_tree.mesh.points[*p].region;
+                    let is_inside = |p: &usize| BlockId::of_region(id.block.level, region_of(p)) == id.block;
+                    let all = (0..want.leaves.len()).filter(is_inside).count() as f32;
                     let own = want.leaves.iter().filter(|other| **other == leaf).count() as f32;
-                    spacing * block.nodes[node].error / (block.area * own / all).sqrt()
+                    spacing * block.nodes[id.index].error / (block.area * own / all).sqrt()
                 }
             };
             prop_assert!(near(found.error, error, 1e-4), "{:?}, expected {}", found, error);

@@ -1,7 +1,7 @@
 //! The vertex tree, node for node, on the full dual mesh read back from the device.
 
 use isopeel_kernels::{Cancel, DeviceKind, Error, VertexTree};
-use isopeel_reference::tree::{self, BlockTree, Node};
+use isopeel_reference::tree::{self, BlockTree, Node, NodeId};
 
 use super::host_tree::HostTree;
 use super::recipes::{Pattern, recipes, surfaces};
@@ -59,10 +59,14 @@ fn check_node(got: &Node, want: &Node) -> Result<(), TestCaseError> {
         want
     );
     prop_assert!(near(got.f, want.f, 1e-4), "{:?}, expected {:?}", got, want);
+    // A code has seven bits of a mantissa; rounding may decide for the next one.
+    let ratio = got.max_move / want.max_move;
+    prop_assert!((0.99..1.01).contains(&ratio), "{:?}, expected {:?}", got, want);
     Ok(())
 }
 
 fn check_block(got: &BlockTree, want: &BlockTree) -> Result<(), TestCaseError> {
+    prop_assert_eq!(got.nodes.len(), want.nodes.len());
     for (i, (got, want)) in got.nodes.iter().zip(&want.nodes).enumerate() {
         check_node(got, want).map_err(|e| TestCaseError::fail(format!("node {i}: {e}")))?;
     }
@@ -78,10 +82,10 @@ fn check_block(got: &BlockTree, want: &BlockTree) -> Result<(), TestCaseError> {
 
 /// Another compiler rounds sums in its own way, and one other merge changes those after it: of the tree as a whole there is as much.
 fn check_loosely(got: &tree::Tree, want: &tree::Tree) -> Result<(), TestCaseError> {
-    for (region, want) in &want.blocks {
-        let got = &got.blocks[region];
+    for (id, want) in &want.blocks {
+        let got = &got.blocks[id];
         let [a, b] = [got, want].map(|block| block.nodes.len());
-        prop_assert!(a.abs_diff(b) <= 5 + b / 20, "{:?}: {} nodes, expected {}", region, a, b);
+        prop_assert!(a.abs_diff(b) <= 5 + b / 20, "{:?}: {} nodes, expected {}", id, a, b);
         prop_assert!(
             near(got.area, want.area, 1e-3),
             "area {}, expected {}",
@@ -96,7 +100,7 @@ fn check_loosely(got: &tree::Tree, want: &tree::Tree) -> Result<(), TestCaseErro
 fn check_collapses(host: &HostTree) -> Result<(), TestCaseError> {
     for (region, triangles) in &host.mesh.triangles {
         for (triangle, &got) in triangles.iter().zip(&host.collapsed_by[region]) {
-            prop_assert_eq!(got, host.tree.collapsed_by(&host.mesh, *triangle));
+            prop_assert_eq!(got, host.tree.collapsed_by(*triangle));
         }
     }
     Ok(())
@@ -110,9 +114,9 @@ pub fn check(engine: &Engine, host: &HostTree) -> Result<(), TestCaseError> {
     if device.kind != DeviceKind::Cpu || device.is_intel_runtime() {
         return check_loosely(&host.tree, &want);
     }
-    for (region, want) in &want.blocks {
-        let in_region = |e| TestCaseError::fail(format!("region {region:?}: {e}"));
-        check_block(&host.tree.blocks[region], want).map_err(in_region)?;
+    for (id, want) in &want.blocks {
+        let in_block = |e| TestCaseError::fail(format!("{id:?}: {e}"));
+        check_block(&host.tree.blocks[id], want).map_err(in_block)?;
     }
     prop_assert!(host.tree.point_parents == want.point_parents, "parents of points");
     Ok(())
@@ -132,18 +136,19 @@ fn a_tree_is_a_forest_in_order_of_rounds() {
     let Some(engine) = device() else { return };
     let planted = plant(&engine, &Recipe::plain([65, 40, 35], Pattern::Waves(15), 5), false);
     let host = HostTree::read(&engine, &planted);
-    let mut children: HashMap<([u32; 3], usize), u32> = HashMap::new();
-    for (point, parent) in host.mesh.points.iter().zip(&host.tree.point_parents) {
-        parent.map(|node| *children.entry((point.region, node)).or_default() += 1);
+    let mut children: HashMap<NodeId, u32> = HashMap::new();
+    for parent in host.tree.point_parents.iter().flatten() {
+        *children.entry(*parent).or_default() += 1;
     }
-    for (&region, block) in &host.tree.blocks {
-        for (i, node) in block.nodes.iter().enumerate() {
+    for (&id, block) in &host.tree.blocks {
+        for (index, node) in block.nodes.iter().enumerate() {
             let round = |node: usize| block.round_ends.partition_point(|&end| end <= node);
             if let Some(parent) = node.parent {
-                assert!(round(parent) > round(i), "a parent of a later round");
-                *children.entry((region, parent)).or_default() += 1;
+                let is_later = parent.block.level > id.level || round(parent.index) > round(index);
+                assert!(is_later, "a parent of a later round");
+                *children.entry(parent).or_default() += 1;
             }
-            assert_eq!(children[&(region, i)], 2, "each node merges two");
+            assert_eq!(children[&NodeId { block: id, index }], 2, "each node merges two");
         }
     }
     let (points, merged) = (host.mesh.points.len(), children.len());
@@ -176,24 +181,26 @@ fn worst_fold(triangles: &[[[f64; 4]; 3]], made: f64) -> f64 {
 #[test]
 fn merges_hardly_ever_fold_the_surface() {
     let Some(engine) = device() else { return };
-    let planted = plant(&engine, &Recipe::plain([31, 30, 29], Pattern::Waves(60), 5), false);
+    // Two regions: the last level's merges may fold it.
+    let planted = plant(&engine, &Recipe::plain([45, 30, 29], Pattern::Waves(60), 5), false);
     let host = HostTree::read(&engine, &planted);
-    let (&region, block) = host.tree.blocks.first_key_value().expect("a region");
+    let (&id, block) = host.tree.blocks.first_key_value().expect("a region");
+    assert_eq!(id.level, 0);
     let cells = |p: [i32; 3]| p.map(|x| f64::from(x) / f64::from(tree::LATTICE));
     let (mut merges, mut folds) = (0, 0);
     for (round, &end) in block.round_ends.iter().enumerate() {
         let begin = round.checked_sub(1).map_or(0, |before| block.round_ends[before]);
         // A corner's position, and its number behind those of nodes.
         let leaf = |point: usize| {
-            let above = std::iter::successors(host.tree.point_parents[point], |&node| block.nodes[node].parent);
-            let (at, number) = match above.take_while(|&node| node < end).last() {
-                Some(node) => (block.nodes[node].position, node),
+            let above = host.tree.above(point).take_while(|node| node.block == id);
+            let (at, number) = match above.take_while(|node| node.index < end).last() {
+                Some(node) => (block.nodes[node.index].position, node.index),
                 None => (host.mesh.points[point].position, block.nodes.len() + point),
             };
             let [x, y, z] = cells(at);
             [x, y, z, number as f64]
         };
-        let triangles: Vec<[[f64; 4]; 3]> = host.mesh.triangles[&region]
+        let triangles: Vec<[[f64; 4]; 3]> = host.mesh.triangles[&id.coords]
             .iter()
             .map(|corners| corners.map(leaf))
             .filter(|c| c[0][3] != c[1][3] && c[1][3] != c[2][3] && c[2][3] != c[0][3])

@@ -30,6 +30,7 @@ fn goals(planted: &Planted, full: u64, without: &PartFilter, random: &mut Random
         max_triangles,
         max_tolerance: f32::INFINITY,
         without: without.clone(),
+        may_vanish: false,
     };
     let goals = [
         goal(-1.0, NO_LIMIT),
@@ -44,6 +45,14 @@ fn goals(planted: &Planted, full: u64, without: &PartFilter, random: &mut Random
         TreeGoal {
             max_tolerance: 0.2,
             ..goal(-1.0, full / 3)
+        },
+        TreeGoal {
+            may_vanish: true,
+            ..goal(-1.0, 0)
+        },
+        TreeGoal {
+            may_vanish: true,
+            ..goal(1.0 + 20.0 * random.unit(), NO_LIMIT)
         },
     ];
     let with_params = |goal| {
@@ -214,6 +223,7 @@ pub fn check_cuts_without(
         mesh: &remaining.mesh,
         tree: &host.tree,
         removed: &remaining.nodes,
+        may_vanish: false,
     };
     let relaxer = Relaxer {
         cutter,
@@ -222,12 +232,13 @@ pub fn check_cuts_without(
     };
     let full_triangles = full_triangles(&cutter);
     let full = invariants(&full_triangles)?;
-    // Merges within blocks alone go no further.
+    // Merges go no further.
     let all = TreeGoal {
         tolerance: f32::INFINITY,
         max_triangles: NO_LIMIT,
         max_tolerance: f32::INFINITY,
         without: filter.clone(),
+        may_vanish: false,
     };
     let weights = host.importances(engine, planted, &cutter, &planted.params)?;
     let floor = cutter.cut(weights.as_ref(), &all);
@@ -246,11 +257,22 @@ pub fn check_cuts_without(
     cuts.par_iter()
         .try_for_each(|(params, goal, (surface, tolerance), weights)| {
             let check = || {
+                let cutter = Cutter {
+                    may_vanish: goal.may_vanish,
+                    ..cutter
+                };
+                let relaxer = Relaxer { cutter, ..relaxer };
                 let want = cutter.cut(weights.as_ref(), goal).expect("a cut");
                 prop_assert_eq!(*tolerance, want.tolerance);
                 check_surface(&relaxer, surface, &want)?;
                 let triangles: Vec<Triangle> = want.triangles.values().flatten().copied().collect();
-                prop_assert_eq!(&invariants(&triangles)?, &full, "{} marks", want.marks.len());
+                let left = invariants(&triangles)?;
+                let vanished = cutter.vanished_parts(&want.leaves);
+                prop_assert_eq!(surface.statistics.vanished_parts, vanished);
+                prop_assert_eq!(left.components + vanished as usize, full.components);
+                if vanished == 0 {
+                    prop_assert_eq!(&left, &full, "{} marks", want.marks.len());
+                }
                 prop_assert_eq!(surface.statistics.triangles, triangles.len() as u64);
                 if goal.max_triangles >= floor && goal.max_tolerance == f32::INFINITY {
                     prop_assert!(
@@ -279,13 +301,14 @@ fn check_statistics(
         .map(|(leaf, _)| *leaf)
         .collect();
     let mut counts = [0; 6];
-    leaves
-        .iter()
+    let shown = leaves.iter().filter(|&&leaf| !cutter.is_vanishing(leaf));
+    shown
+        .into_iter()
         .for_each(|&leaf| counts[usize::from(cutter.level(leaf))] += 1);
     prop_assert_eq!(surface.statistics.leaves, counts);
     let errors = leaves.iter().map(|&leaf| match leaf {
         TreeLeaf::Point(_) => 0.0,
-        TreeLeaf::Node((region, index)) => cutter.tree.blocks[&region].nodes[index].error,
+        TreeLeaf::Node(id) => cutter.node(id).error,
     });
     let error2: f64 = errors.clone().map(|e| f64::from(e).powi(2)).sum();
     let area: f64 = total_area(&remaining.mesh);
@@ -328,6 +351,7 @@ fn budgets_are_used_but_for_what_repairs_need() {
             max_triangles: budget,
             max_tolerance: f32::INFINITY,
             without: PartFilter::default(),
+            may_vanish: false,
         };
         let (surface, tolerance) = cut(&engine, &planted, &unweighted, &goal);
         let made = surface.statistics.triangles;
@@ -364,6 +388,7 @@ fn the_minimum_of_triangles_is_a_budget_that_is_kept() {
                 max_triangles,
                 max_tolerance: f32::INFINITY,
                 without: PartFilter::default(),
+                may_vanish: false,
             };
             cut(&engine, &planted, &planted.params, &goal).0.statistics.triangles
         };

@@ -75,6 +75,7 @@ fn check_counts(
         tolerance: -1.0,
         max_triangles: u64::MAX,
         without: filter.clone(),
+        may_vanish: false,
     };
     let (surface, _) = cut(engine, planted, params, &goal);
     prop_assert_eq!(surface.statistics.removed, Some(removed));
@@ -206,6 +207,7 @@ fn removed_parts_are_not_measured() {
         tolerance: 0.2,
         max_triangles: u64::MAX,
         without: PartFilter { min_area, chosen: None },
+        may_vanish: false,
     };
     let before = planted.tree.device_bytes();
     let (whole, _) = cut(&engine, &planted, &params, &goal(0.0));

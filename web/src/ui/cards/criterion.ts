@@ -2,7 +2,7 @@
 
 import type { GuardName, Statistics, TriangleBudget, View } from "../../protocol/types";
 import type { LengthScale } from "../../state/lengths";
-import { formatLength } from "../format";
+import { formatCount, formatLength } from "../format";
 
 /** An error, a budget, or β. */
 export type Criterion = "error" | "triangles" | "beta";
@@ -32,8 +32,15 @@ export function trianglesOf(budget: TriangleBudget, fullTriangles: number | unde
 }
 
 /** What a guard that gave way has let happen. */
-export function gaveWayText(guard: GuardName, { error, estimatedError }: Pick<Statistics, "error" | "estimatedError">, scale: LengthScale): string {
-  if (guard === "topology") return "Topology not kept: the budget is too small";
+export function gaveWayText(
+  guard: GuardName,
+  { error, estimatedError, vanishedParts }: Pick<Statistics, "error" | "estimatedError" | "vanishedParts">,
+  scale: LengthScale,
+): string {
+  if (guard === "topology") {
+    if (vanishedParts === null) return "Topology not kept: the budget is too small";
+    return `${formatCount(vanishedParts)} small part${vanishedParts === 1 ? "" : "s"} left out: the budget is too small`;
+  }
   if (error !== null) return `Max. error ${formatLength(error.max, scale)}`;
   return estimatedError === null ? "The limit on the error is not kept" : `Error ≈ ${formatLength(estimatedError.rms, scale)} (RMS)`;
 }

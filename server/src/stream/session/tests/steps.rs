@@ -54,6 +54,7 @@ async fn steps_come_coarse_first_and_end_with_the_statistics() {
         "removedParts",
         "removedTriangles",
         "unmatchedPositions",
+        "vanishedParts",
         "activeCells",
         "leaves",
         "triangles",

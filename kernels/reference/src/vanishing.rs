@@ -1,0 +1,220 @@
+//! Parts of the surface that vanish: what the last level of the vertex tree leaves of a small part becomes a chain of nodes of one error
+//! (docs/algorithm.md#7-vertex-tree). In f64.
+
+use std::collections::BTreeMap;
+
+use isopeel_kernels::Grid;
+
+use crate::block::Block;
+use crate::cluster::Cluster;
+use crate::tree::{BlockId, BlockTree, LATTICE, Node, NodeId, TreeLeaf, decode_max_move};
+
+/// Maximum number of clusters of a part that may vanish.
+const MAX_CLUSTERS: usize = 32;
+/// Maximum number of its nodes.
+const MAX_NODES: usize = 64;
+/// The squared error of a vanished part is at least this times its second moment about its centroid.
+const VANISHING_MOMENT: f64 = 9.0;
+/// Level of the nodes: that of the largest cubes.
+const NODE_LEVEL: u8 = 5;
+
+/// A connected part of the surface that the last level leaves.
+#[derive(Debug, Default)]
+struct Part<'a> {
+    /// In the order of [`Block::left`].
+    clusters: Vec<&'a Cluster>,
+    /// Number of its triangles.
+    triangles: usize,
+}
+
+/// Sums over the clusters of a part.
+#[derive(Clone, Copy, Debug)]
+struct Sums {
+    area: f64,
+    /// World units.
+    centroid: [f64; 3],
+    /// Second moment about the centroid.
+    moment: f64,
+}
+
+/// The nodes of a part, without their parents.
+#[derive(Debug)]
+struct Chain {
+    leaves: Vec<TreeLeaf>,
+    nodes: Vec<Node>,
+}
+
+/// The block of the vanishing nodes.
+#[derive(Debug)]
+pub(crate) struct Vanishing {
+    pub(crate) id: BlockId,
+    pub(crate) tree: BlockTree,
+    /// What merges, and into which node.
+    pub(crate) parents: Vec<(TreeLeaf, NodeId)>,
+}
+
+/// Builds the nodes of all parts that may vanish, if there are any. `last`: the block of the last level, after its rounds.
+pub(crate) fn build(last: &Block, grid: &Grid) -> Option<Vanishing> {
+    let id = BlockId {
+        level: last.id.level + 1,
+        coords: [0; 3],
+    };
+    let chains = chains(last, grid, id);
+    let rounds = chains.iter().map(|chain| chain.nodes.len()).max()?;
+    let mut tree = BlockTree::default();
+    let mut parents = Vec::new();
+    // What each chain has merged so far.
+    let mut tops: Vec<TreeLeaf> = chains.iter().map(|chain| chain.leaves[0]).collect();
+    for round in 0..rounds {
+        for (chain, top) in chains.iter().zip(&mut tops) {
+            if let Some(&node) = chain.nodes.get(round) {
+                let index = tree.nodes.len();
+                let merged = NodeId { block: id, index };
+                parents.extend(
+                    [Some(*top), chain.leaves.get(round + 1).copied()]
+                        .into_iter()
+                        .flatten()
+                        .map(|leaf| (leaf, merged)),
+                );
+                tree.nodes.push(node);
+                *top = TreeLeaf::Node(merged);
+            }
+        }
+        tree.round_ends.push(tree.nodes.len());
+    }
+    Some(Vanishing { id, tree, parents })
+}
+
+/// The chains of the parts that may vanish. The part of the largest moment, of equal ones the first, may not.
+fn chains(last: &Block, grid: &Grid, id: BlockId) -> Vec<Chain> {
+    let parts: Vec<(Part<'_>, Sums)> = (parts(last).into_iter())
+        .map(|part| {
+            let sums = part.sums(grid);
+            (part, sums)
+        })
+        .collect();
+    let mut largest = 0;
+    for (i, (_, sums)) in parts.iter().enumerate() {
+        if sums.moment > parts[largest].1.moment {
+            largest = i;
+        }
+    }
+    let others = parts.iter().enumerate().filter(|&(i, _)| i != largest);
+    others
+        .filter_map(|(_, (part, sums))| part.chain(sums, grid, id))
+        .collect()
+}
+
+/// The parts that have triangles, in order of their first clusters among those that are left.
+fn parts(block: &Block) -> Vec<Part<'_>> {
+    let left: Vec<usize> = block.left().collect();
+    let mut ranks = vec![usize::MAX; block.clusters.len()];
+    left.iter().enumerate().for_each(|(rank, &at)| ranks[at] = rank);
+    // By rank, another cluster of the part with a smaller rank, or the cluster itself.
+    let mut smaller: Vec<usize> = (0..left.len()).collect();
+    let first_of = |smaller: &[usize], mut at: usize| {
+        while smaller[at] != at {
+            at = smaller[at];
+        }
+        at
+    };
+    for &[a, b, c] in &block.triangles {
+        for (p, q) in [(a, b), (b, c)] {
+            let [p, q] = [p, q].map(|at| first_of(&smaller, ranks[at]));
+            smaller[p.max(q)] = p.min(q);
+        }
+    }
+    let mut parts: BTreeMap<usize, Part<'_>> = BTreeMap::new();
+    for &[a, ..] in &block.triangles {
+        parts.entry(first_of(&smaller, ranks[a])).or_default().triangles += 1;
+    }
+    for (rank, &at) in left.iter().enumerate() {
+        if let Some(part) = parts.get_mut(&first_of(&smaller, rank)) {
+            part.clusters.push(&block.clusters[at]);
+        }
+    }
+    parts.into_values().collect()
+}
+
+/// Position in world units.
+fn position(cluster: &Cluster, grid: &Grid) -> [f64; 3] {
+    let spacing = grid.spacing.map(f64::from);
+    std::array::from_fn(|i| f64::from(cluster.lattice_position[i]) * spacing[i] / f64::from(LATTICE))
+}
+
+impl Part<'_> {
+    /// A part without area has no centroid; its moment is 0.
+    fn sums(&self, grid: &Grid) -> Sums {
+        let mut sums = Sums {
+            area: 0.0,
+            centroid: [0.0; 3],
+            moment: 0.0,
+        };
+        for cluster in &self.clusters {
+            let (k, x) = (f64::from(cluster.quadric.k), position(cluster, grid));
+            sums.area += k;
+            (0..3).for_each(|i| sums.centroid[i] += k * x[i]);
+        }
+        if sums.area <= 0.0 {
+            return sums;
+        }
+        sums.centroid = sums.centroid.map(|x| x / sums.area);
+        for cluster in &self.clusters {
+            let (k, x) = (f64::from(cluster.quadric.k), position(cluster, grid));
+            let [dx, dy, dz]: [f64; 3] = std::array::from_fn(|i| x[i] - sums.centroid[i]);
+            sums.moment += k * (dx * dx + dy * dy + dz * dz);
+        }
+        sums
+    }
+
+    /// Number of nodes, and of those that take away one triangle instead of two; `None` if no such nodes take away all of the part's
+    /// triangles. A part with handles has more triangles than two a merge: the last nodes have one child.
+    fn counts(&self) -> Option<[usize; 2]> {
+        let nodes = (self.clusters.len() - 1).max(self.triangles.div_ceil(2));
+        let singles = 2 * nodes - self.triangles;
+        (singles <= nodes && nodes <= MAX_NODES).then_some([nodes, singles])
+    }
+
+    /// The nodes that merge the whole part, one cluster after another; `None` if it may not vanish.
+    fn chain(&self, sums: &Sums, grid: &Grid, id: BlockId) -> Option<Chain> {
+        let [nodes, singles] = self.counts()?;
+        if self.clusters.len() > MAX_CLUSTERS || sums.area <= 0.0 {
+            return None;
+        }
+        let node = self.node(sums, grid, id);
+        let removed = |index| if index < singles { 1 } else { 2 };
+        Some(Chain {
+            leaves: self.clusters.iter().map(|cluster| cluster.leaf).collect(),
+            nodes: (0..nodes)
+                .map(|index| Node {
+                    removed: removed(index),
+                    ..node
+                })
+                .collect(),
+        })
+    }
+
+    /// What all nodes of the part have in common.
+    fn node(&self, sums: &Sums, grid: &Grid, id: BlockId) -> Node {
+        let total = |of: fn(&Cluster) -> f32| self.clusters.iter().fold(0.0, |sum, c| sum + f64::from(of(c)));
+        let squared_error = total(|cluster| cluster.quadric.c).max(VANISHING_MOMENT * sums.moment);
+        // The lattice of the block has 2^16 steps along each axis.
+        let steps = id.extent() >> id.level;
+        let position = std::array::from_fn(|i| {
+            let step = f64::from(grid.spacing[i]) / f64::from(LATTICE) * f64::from(1 << id.level);
+            let at = (sums.centroid[i] / step).round_ties_even() as i32;
+            at.clamp(0, steps) << id.level
+        });
+        Node {
+            parent: None,
+            position,
+            error: (squared_error.sqrt() / f64::from(grid.smallest_spacing())) as f32,
+            removed: 0,
+            level: NODE_LEVEL,
+            on_border: self.clusters.iter().any(|cluster| cluster.on_border),
+            s: (total(|cluster| cluster.features[0]) / sums.area) as f32,
+            f: (total(|cluster| cluster.features[1]) / sums.area) as f32,
+            max_move: decode_max_move(0),
+        }
+    }
+}
