@@ -4,12 +4,12 @@
 // region, first those of cells and sheets of all regions (Region::point_base), then those on the volume's faces
 // (TreeRegion::border_base). dual_emit writes triangles with these numbers.
 //
-// One work-group a region. tree_build.cl makes the nodes.
+// One work-group a region, but for tree_gather: a block. tree_build.cl makes the nodes.
 //
 //   kernel         writes
 //   tree_borders   numbers of the points on the volume's faces, how many
 //   tree_points    positions of points of cells and sheets; dual_emit writes the others
-//   tree_gather    how many triangles have a corner in the region; then these triangles
+//   tree_gather    how many triangles have a corner in the block; then these triangles
 //   tree_collapse  the node that each triangle collapses with
 //   tree_corners   the corners of the full mesh at each point
 //   tree_lives     the rounds during which each leaf of a region existed while the tree was built

@@ -168,7 +168,7 @@ inline bool is_idle(const TreeBlock *block, uint at) {
     return true;
 }
 
-// Lists the clusters of a block: those that may merge, and from the end on the idle ones. One prefix sum: PoCL takes minutes to compile more.
+// Lists the clusters of a block: those that may merge, and from the end on the idle ones.
 INLINED void list_clusters(TreeBlock *block, __local uint *scratch) {
     const uint lid = get_local_id(0), count = block->alive_count;
     uint active = 0, total;
@@ -180,7 +180,7 @@ INLINED void list_clusters(TreeBlock *block, __local uint *scratch) {
         if (i >= count) continue;
         block->alive[is_active ? before : count - 1 - (i - before)] = i;
         block->partners[i] = is_active ? i : NONE;
-        if (WIDE_GROUP == 1 && is_active) block->best[before] = i; // all are new
+        if (WIDE_GROUP == 1 && is_active) block->best[before] = i; // new_list: all are new
     }
     block->alive_count = block->new_count = active;
     barrier(CLK_GLOBAL_MEM_FENCE);
@@ -194,10 +194,10 @@ typedef struct {
     __global const TreeCluster *risen_clusters;
     __global const TreeMembers *risen_members;
     __global uint *cluster_parents;
-} TreeBuffers;
+} BeginBuffers;
 
 // Makes a cluster of each point of a region, or of each cluster that has risen into a block, with its ring and quadric.
-INLINED void begin_clusters(const TreeBuildArgs args, const TreeBuffers *all, TreeBlock *block, const TreeFans *fans, TreePoints own,
+INLINED void begin_clusters(const TreeBuildArgs args, const BeginBuffers *all, TreeBlock *block, const TreeFans *fans, TreePoints own,
                             __local uint *scratch) {
     const uint lid = get_local_id(0), count = block->alive_count;
     const int3 last = (int3)((int)args.grid.dims[0], (int)args.grid.dims[1], (int)args.grid.dims[2]) - 1;
@@ -239,7 +239,7 @@ void tree_begin(const TreeBuildArgs args, __global const Region *regions, __glob
     find_points(&own, regions + group, tree);
     const uint count = count_points(own);
     const TreeWork work = {rings, costs, clusters, members, positions, merged_positions, lists};
-    const TreeBuffers all = {nodes, vertex_records, points, risen_clusters, risen_members, cluster_parents + tree->cluster_base};
+    const BeginBuffers all = {nodes, vertex_records, points, risen_clusters, risen_members, cluster_parents + tree->cluster_base};
     TreeBlock block = find_block(args, &work, regions + group, tree, points, count);
     block.alive_count = count;
     const TreeFans fans = {triangles + 3 * tree->triangle_base, block.next_rings, tree->triangle_count};

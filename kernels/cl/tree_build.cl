@@ -3,8 +3,8 @@
 //   kernel      writes
 //   tree_build  the nodes, the parents of nodes and of what the blocks begin with
 //
-// The blocks of level 0 are regions, those of level l have 2^l regions along each axis. Clusters merge only with clusters of the same block, so
-// that blocks do not wait for each other. What a block leaves rises to the next level (tree_rise.cl).
+// The blocks of level 0 are regions, those of level l have 2^l regions along each axis. Clusters merge only with clusters of the same
+// block, so that blocks do not wait for each other. What a block leaves rises to the next level (tree_rise.cl).
 
 #include "lib/precision.h"
 #include "lib/args.h"
@@ -28,10 +28,10 @@ typedef struct {
     __global uint *node_errors;
     __global uchar *node_levels;
     __global uint *node_parents, *cluster_parents, *round_ends;
-} TreeBuffers;
+} BuildBuffers;
 
 // Output buffers for the nodes of a block.
-INLINED TreeOutput find_output(const TreeBuildArgs args, const TreeBuffers *all, __global const TreeRegion *tree, const TreeBlock *block) {
+INLINED TreeOutput find_output(const TreeBuildArgs args, const BuildBuffers *all, __global const TreeRegion *tree, const TreeBlock *block) {
     const int3 last = (int3)((int)args.grid.dims[0], (int)args.grid.dims[1], (int)args.grid.dims[2]) - 1;
     const int3 margin = (int3)(args.params.cap ? 1 : 0);
     const int lattice = (int)VERTEX_LATTICE, level = (int)args.level;
@@ -57,7 +57,7 @@ inline bool rests(const TreeBuildArgs args, uint clusters, uint points) {
 }
 
 // Makes some rounds of merges in a block.
-INLINED void build_block(const TreeBuildArgs args, const TreeBuffers *all, uint group, __local uint *scratch, __local uint *counts) {
+INLINED void build_block(const TreeBuildArgs args, const BuildBuffers *all, uint group, __local uint *scratch, __local uint *counts) {
     const uint lid = get_local_id(0);
     __global TreeRegion *tree = all->tree_regions + group;
     TreePoints own;
@@ -78,6 +78,8 @@ INLINED void build_block(const TreeBuildArgs args, const TreeBuffers *all, uint 
         is_done = merged == 0 || rounds == TREE_ROUNDS || rests(args, block.alive_count + idle, points)
             || (!args.is_last && merged * MIN_PROGRESS < before);
     }
+    // Work-items that made no round may still read the record.
+    barrier(CLK_GLOBAL_MEM_FENCE);
     if (lid > 0) return;
     tree->nodes = node_count;
     tree->rounds = rounds;
@@ -96,7 +98,7 @@ void tree_build(const TreeBuildArgs args, __global const Region *regions, __glob
                 __global float4 *merged_positions, __global uint *lists, __global TreeNode *tree_nodes, __global uint *node_errors,
                 __global uchar *node_levels, __global uint *node_parents, __global uint *cluster_parents, __global uint *round_ends) {
     __local uint scratch[WIDE_GROUP], counts[2];
-    const TreeBuffers all = {
+    const BuildBuffers all = {
         regions, points, tree_regions, {rings, costs, clusters, members, positions, merged_positions, lists},
         tree_nodes, node_errors, node_levels, node_parents, cluster_parents, round_ends,
     };

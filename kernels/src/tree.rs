@@ -71,7 +71,7 @@ pub struct TreeGoal {
     pub max_tolerance: f32,
     /// Parts that are left out before the cut.
     pub without: PartFilter,
-    /// Whether small parts may vanish: they do where their size is below the tolerance.
+    /// Whether small parts may vanish: each does if its size is below the tolerance.
     pub may_vanish: bool,
 }
 

@@ -66,7 +66,7 @@ inline bool may_meet_twice(const OwnLeaves *own, const TestedCorner *a, const Te
     return !lived_together(a->life, b->life);
 }
 
-// Marks two leaves, one of them the region's, that meet along more than one line: a surface has each directed edge once. `corner`: number,
+// Marks the later of two leaves, one of them the region's, that meet along more than one line: a surface has each directed edge once. `corner`: number,
 // in the full mesh, of the corner at which the edge begins.
 INLINED void test_edge(const OwnLeaves *own, const EdgeTable *table, Faults *faults, uint corner, const TestedCorner *from,
                        const TestedCorner *to) {

@@ -1,5 +1,5 @@
-// Lists of the clusters of a block that a step of a round processes: its pairs, and those that merged in the last round. On a CPU they are made
-// branch-free: whether a cluster merges is unpredictable, and a branch misprediction costs as much as a few neighbours. On a GPU, the
+// Lists of the clusters of a block that a step of a round processes: its pairs, and those that merged in the last round. On a CPU they are
+// made branch-free: whether a cluster merges is unpredictable, and a branch misprediction costs as much as a few neighbours. On a GPU, the
 // work-items of a warp that have no such cluster would wait for those that have.
 #ifndef ISOPEEL_TREE_LISTS_H
 #define ISOPEEL_TREE_LISTS_H

@@ -76,7 +76,7 @@ impl<'a> LevelMesh<'a> {
         }
     }
 
-    /// Whether one block holds the whole volume.
+    /// Whether there is no level above.
     pub(crate) fn is_last(&self) -> bool {
         self.level == last_level(&self.mesh.grid)
     }

@@ -226,14 +226,14 @@ pub fn build(mesh: &FullMesh) -> Tree {
         for &(leaf, parent) in blocks.iter().flat_map(|block| &block.parents) {
             tree.set_parent(leaf, parent);
         }
-        if level.is_last() {
-            // Without points there is none.
-            if let Some(above) = blocks.first().and_then(|last| vanishing::build(last, &mesh.grid)) {
+        let is_last = level.is_last();
+        level = level.rise(&blocks);
+        if is_last {
+            if let Some(above) = vanishing::build(&level) {
                 tree.blocks.insert(above.id, above.tree);
                 (above.parents.into_iter()).for_each(|(leaf, parent)| tree.set_parent(leaf, parent));
             }
             return tree;
         }
-        level = level.rise(&blocks);
     }
 }

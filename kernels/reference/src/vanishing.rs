@@ -5,8 +5,8 @@ use std::collections::BTreeMap;
 
 use isopeel_kernels::Grid;
 
-use crate::block::Block;
 use crate::cluster::Cluster;
+use crate::levels::LevelMesh;
 use crate::tree::{BlockId, BlockTree, LATTICE, Node, NodeId, TreeLeaf, decode_max_move};
 
 /// Maximum number of clusters of a part that may vanish.
@@ -21,7 +21,7 @@ const NODE_LEVEL: u8 = 5;
 /// A connected part of the surface that the last level leaves.
 #[derive(Debug, Default)]
 struct Part<'a> {
-    /// In the order of [`Block::left`].
+    /// In order of their numbers.
     clusters: Vec<&'a Cluster>,
     /// Number of its triangles.
     triangles: usize,
@@ -53,31 +53,26 @@ pub(crate) struct Vanishing {
     pub(crate) parents: Vec<(TreeLeaf, NodeId)>,
 }
 
-/// Builds the nodes of all parts that may vanish, if there are any. `last`: the block of the last level, after its rounds.
-pub(crate) fn build(last: &Block, grid: &Grid) -> Option<Vanishing> {
+/// Builds the nodes of all parts that may vanish, if there are any. `left`: what the blocks of the last level have left.
+pub(crate) fn build(left: &LevelMesh<'_>) -> Option<Vanishing> {
     let id = BlockId {
-        level: last.id.level + 1,
+        level: left.level,
         coords: [0; 3],
     };
-    let chains = chains(last, grid, id);
+    let chains = chains(left, id);
     let rounds = chains.iter().map(|chain| chain.nodes.len()).max()?;
     let mut tree = BlockTree::default();
     let mut parents = Vec::new();
-    // What each chain has merged so far.
-    let mut tops: Vec<TreeLeaf> = chains.iter().map(|chain| chain.leaves[0]).collect();
+    // What merges into the next node of each chain: the clusters, then the node before it.
+    let mut below: Vec<Vec<TreeLeaf>> = chains.iter().map(|chain| chain.leaves.clone()).collect();
     for round in 0..rounds {
-        for (chain, top) in chains.iter().zip(&mut tops) {
+        for (chain, below) in chains.iter().zip(&mut below) {
             if let Some(&node) = chain.nodes.get(round) {
                 let index = tree.nodes.len();
                 let merged = NodeId { block: id, index };
-                parents.extend(
-                    [Some(*top), chain.leaves.get(round + 1).copied()]
-                        .into_iter()
-                        .flatten()
-                        .map(|leaf| (leaf, merged)),
-                );
+                parents.extend(below.drain(..).map(|leaf| (leaf, merged)));
                 tree.nodes.push(node);
-                *top = TreeLeaf::Node(merged);
+                below.push(TreeLeaf::Node(merged));
             }
         }
         tree.round_ends.push(tree.nodes.len());
@@ -86,8 +81,9 @@ pub(crate) fn build(last: &Block, grid: &Grid) -> Option<Vanishing> {
 }
 
 /// The chains of the parts that may vanish. The part of the largest moment, of equal ones the first, may not.
-fn chains(last: &Block, grid: &Grid, id: BlockId) -> Vec<Chain> {
-    let parts: Vec<(Part<'_>, Sums)> = (parts(last).into_iter())
+fn chains(left: &LevelMesh<'_>, id: BlockId) -> Vec<Chain> {
+    let grid = &left.mesh.grid;
+    let parts: Vec<(Part<'_>, Sums)> = (parts(left).into_iter())
         .map(|part| {
             let sums = part.sums(grid);
             (part, sums)
@@ -105,32 +101,30 @@ fn chains(last: &Block, grid: &Grid, id: BlockId) -> Vec<Chain> {
         .collect()
 }
 
-/// The parts that have triangles, in order of their first clusters among those that are left.
-fn parts(block: &Block) -> Vec<Part<'_>> {
-    let left: Vec<usize> = block.left().collect();
-    let mut ranks = vec![usize::MAX; block.clusters.len()];
-    left.iter().enumerate().for_each(|(rank, &at)| ranks[at] = rank);
-    // By rank, another cluster of the part with a smaller rank, or the cluster itself.
-    let mut smaller: Vec<usize> = (0..left.len()).collect();
+/// The parts that have triangles, in order of their first clusters.
+fn parts<'a>(left: &'a LevelMesh<'_>) -> Vec<Part<'a>> {
+    // Another cluster of the part with a smaller number, or the cluster itself.
+    let mut smaller: Vec<usize> = (0..left.clusters.len()).collect();
     let first_of = |smaller: &[usize], mut at: usize| {
         while smaller[at] != at {
             at = smaller[at];
         }
         at
     };
-    for &[a, b, c] in &block.triangles {
+    let triangles = || left.triangles.values().flatten();
+    for &[a, b, c] in triangles() {
         for (p, q) in [(a, b), (b, c)] {
-            let [p, q] = [p, q].map(|at| first_of(&smaller, ranks[at]));
+            let [p, q] = [p, q].map(|at| first_of(&smaller, at));
             smaller[p.max(q)] = p.min(q);
         }
     }
     let mut parts: BTreeMap<usize, Part<'_>> = BTreeMap::new();
-    for &[a, ..] in &block.triangles {
-        parts.entry(first_of(&smaller, ranks[a])).or_default().triangles += 1;
+    for &[a, ..] in triangles() {
+        parts.entry(first_of(&smaller, a)).or_default().triangles += 1;
     }
-    for (rank, &at) in left.iter().enumerate() {
-        if let Some(part) = parts.get_mut(&first_of(&smaller, rank)) {
-            part.clusters.push(&block.clusters[at]);
+    for (number, cluster) in left.clusters.iter().enumerate() {
+        if let Some(part) = parts.get_mut(&first_of(&smaller, number)) {
+            part.clusters.push(cluster);
         }
     }
     parts.into_values().collect()
@@ -167,22 +161,15 @@ impl Part<'_> {
         sums
     }
 
-    /// Number of nodes, and of those that take away one triangle instead of two; `None` if no such nodes take away all of the part's
-    /// triangles. A part with handles has more triangles than two a merge: the last nodes have one child.
-    fn counts(&self) -> Option<[usize; 2]> {
-        let nodes = (self.clusters.len() - 1).max(self.triangles.div_ceil(2));
-        let singles = 2 * nodes - self.triangles;
-        (singles <= nodes && nodes <= MAX_NODES).then_some([nodes, singles])
-    }
-
-    /// The nodes that merge the whole part, one cluster after another; `None` if it may not vanish.
+    /// The nodes that merge the whole part: the first one merges all clusters, and each takes away two triangles, the first one of an odd
+    /// number of triangles one. `None` if the part may not vanish.
     fn chain(&self, sums: &Sums, grid: &Grid, id: BlockId) -> Option<Chain> {
-        let [nodes, singles] = self.counts()?;
-        if self.clusters.len() > MAX_CLUSTERS || sums.area <= 0.0 {
+        let nodes = self.triangles.div_ceil(2);
+        if self.clusters.len() > MAX_CLUSTERS || nodes > MAX_NODES || sums.area <= 0.0 {
             return None;
         }
         let node = self.node(sums, grid, id);
-        let removed = |index| if index < singles { 1 } else { 2 };
+        let removed = |index| if index == 0 { 2 - self.triangles as u32 % 2 } else { 2 };
         Some(Chain {
             leaves: self.clusters.iter().map(|cluster| cluster.leaf).collect(),
             nodes: (0..nodes)

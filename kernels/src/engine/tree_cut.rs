@@ -35,9 +35,9 @@ pub(super) struct TreeMesh {
 }
 
 impl Engine {
-    /// Cuts a tree and meshes the cut. The topology is that of the full dual mesh without removed parts, and without those that vanish if the
-    /// goal allows that. So there is a minimum number of triangles: if the budget is below this minimum, or below what the guard allows, the surface exceeds the budget. Returns the
-    /// tolerance as well.
+    /// Cuts a tree and meshes the cut. The topology is that of the full dual mesh without removed parts, and without those that vanish if
+    /// the goal allows that. So there is a minimum number of triangles: if the budget is below this minimum, or below what the guard allows,
+    /// the surface exceeds the budget. Returns the tolerance as well.
     ///
     /// # Errors
     /// [`Error::Cancelled`], or an error of the device.

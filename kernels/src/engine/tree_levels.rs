@@ -1,5 +1,5 @@
-//! Builds the levels of the vertex tree, one after another: regions, then blocks of twice the size, up to one block that is the volume
-//! (docs/algorithm.md#7-vertex-tree).
+//! Builds the levels of the vertex tree, one after another: regions, then blocks of twice the size, up to one block that is the volume, or
+//! to `LAST_LEVEL` (docs/algorithm.md#7-vertex-tree).
 
 use super::tree_vanish::{Remains, Vanishing};
 use crate::buffer::Buffer;
@@ -13,8 +13,8 @@ use crate::tree::{Built, TreeLevels};
 use crate::{Cancel, Engine, Pyramid, Result, Volume, constants};
 use std::ops::Range;
 
-/// Maximum triangles per CPU core in one launch of `tree_build`. Bounds the working memory, which each launch allocates for its blocks,
-/// and the launch ends within about 50 ms, so that other jobs get the device soon.
+/// Maximum triangles per CPU core in one launch of `tree_build`, unless a block has more. Bounds the working memory, which each launch
+/// allocates for its blocks. A launch for regions ends within about 50 ms, so that other jobs get the device soon.
 const CORE_TRIANGLES: u64 = 50_000;
 /// Clusters of a block times rounds of one launch on a CPU: as many as `CORE_TRIANGLES` take.
 const CORE_VISITS: u32 = 100_000;
@@ -28,8 +28,8 @@ const MAX_GPU_TRIANGLES: u64 = 8_000_000;
 /// Few regions have more triangles. Added to half of all triangles, it makes the work two launches.
 const MAX_REGION_TRIANGLES: u64 = 50_000;
 
-/// The last level, if the volume is larger: one block of all would be built by one work-group, and far from their origin 32-bit floats no longer
-/// tell errors apart.
+/// The last level, if the volume is larger: one block of all would be built by one work-group, and far from their origin 32-bit floats
+/// no longer tell errors apart.
 const LAST_LEVEL: u32 = 3;
 
 /// The blocks of a level.
@@ -210,6 +210,7 @@ impl Builder<'_> {
     /// Returns the nodes at which parts vanish: none if there is no space for them.
     fn find_vanishing(&self, level: &Level<'_>, mesh: &RisenMesh, built: &Built) -> Result<Vanishing> {
         let cx = &self.engine.cx;
+        check_cancelled(self.cancel)?;
         let clusters = &mesh.clusters;
         let remains = Remains {
             clusters: cx.read(tree::STAGE, &clusters.clusters, clusters.clusters.len())?,
@@ -218,6 +219,7 @@ impl Builder<'_> {
             corners: cx.read(tree::STAGE, &mesh.corners, mesh.corners.len())?,
         };
         let points = built.point_parents.len() as u32;
+        check_cancelled(self.cancel)?;
         let vanishing = remains.vanishing(&level.grid, level.number + 1, points, built.node_count);
         // Only nodes of parts with handles can be too many. There are always fewer nodes than points (`cl/lib/tree_leaf.h`).
         let fits = (built.node_count as usize + vanishing.nodes.len()) < built.nodes.len();
@@ -407,8 +409,8 @@ impl Grouped {
     }
 }
 
-/// Finds the block above each block, of twice the size. Returns the linear indices of these, in a grid of `to` blocks. `linear`: of the blocks, in a
-/// grid of `from` blocks.
+/// Finds the block above each block, of twice the size. Returns the linear indices of these, in a grid of `to` blocks. `linear`: of the
+/// blocks, in a grid of `from` blocks.
 fn find_above(blocks: &mut [TreeRegion], linear: &[u32], from: [u32; 3], to: [u32; 3]) -> Vec<u32> {
     let linear_above = |index: &u32| {
         let [x, y, z] = [index % from[0], index / from[0] % from[1], index / from[0] / from[1]];

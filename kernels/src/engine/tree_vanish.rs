@@ -55,20 +55,19 @@ struct Chain {
     error: u32,
     /// How many nodes it has.
     length: usize,
-    /// How many of these remove one triangle instead of two.
-    singles: usize,
+    /// Whether the first one takes away one triangle instead of two.
+    is_odd: bool,
 }
 
 impl Sums {
-    /// The number of nodes at which it vanishes, and of those that remove one triangle instead of two. A part with handles has more than two
-    /// triangles a merge: the last nodes have one child. `None` if the part is too large, or if no such nodes remove all triangles.
-    fn counts(&self) -> Option<[usize; 2]> {
-        if self.clusters > MAX_CLUSTERS || self.area <= 0.0 {
-            return None;
-        }
-        let length = (self.clusters - 1).max(self.triangles.div_ceil(2));
-        let singles = 2 * length - self.triangles;
-        (singles <= length && length <= TREE_ROUNDS as usize).then_some([length, singles])
+    /// Whether the part is small enough for a chain.
+    fn fits(&self) -> bool {
+        self.clusters <= MAX_CLUSTERS && self.area > 0.0 && self.chain_length() <= TREE_ROUNDS as usize
+    }
+
+    /// How many nodes take away all triangles: two each, the first one of an odd number one.
+    fn chain_length(&self) -> usize {
+        self.triangles.div_ceil(2)
     }
 }
 
@@ -77,35 +76,32 @@ impl Remains {
     pub fn vanishing(&self, grid: &Grid, level: u32, points: u32, first: u32) -> Vanishing {
         let chains = self.chains(grid, level);
         let mut vanishing = Vanishing::default();
-        // The node that each chain has reached.
-        let mut below: Vec<u32> = chains
-            .iter()
-            .map(|chain| self.clusters[chain.clusters[0]].ring_first)
-            .collect();
         let rounds = chains.iter().map(|chain| chain.length).max().unwrap_or(0);
+        // The node that each chain has reached.
+        let mut tops = vec![0; chains.len()];
         for round in 0..rounds {
-            for (chain, below) in chains.iter().zip(&mut below) {
+            for (chain, top) in chains.iter().zip(&mut tops) {
                 if round >= chain.length {
                     continue;
                 }
                 let number = first + vanishing.nodes.len() as u32;
-                let other = chain.clusters.get(round + 1);
-                vanishing.parents.push([*below, number]);
-                vanishing
-                    .parents
-                    .extend(other.map(|&at| [self.clusters[at].ring_first, number]));
                 vanishing.nodes.push(chain.node);
-                vanishing.errors.push(if round < chain.singles {
-                    chain.error | KEY_SINGLE
+                let is_single = round == 0 && chain.is_odd;
+                vanishing
+                    .errors
+                    .push(chain.error | if is_single { KEY_SINGLE } else { 0 });
+                if round == 0 {
+                    let leaves = chain.clusters.iter().map(|&at| self.clusters[at].ring_first);
+                    vanishing.parents.extend(leaves.map(|leaf| [leaf, number]));
                 } else {
-                    chain.error
-                });
-                *below = points + number;
+                    vanishing.parents.push([*top, number]);
+                }
+                *top = points + number;
             }
             vanishing.round_ends.push(vanishing.nodes.len() as u32);
         }
         // The last node of a chain has no parent.
-        vanishing.parents.extend(below.into_iter().map(|top| [top, NONE]));
+        vanishing.parents.extend(tops.into_iter().map(|top| [top, NONE]));
         vanishing
     }
 
@@ -118,28 +114,28 @@ impl Remains {
                 largest = i;
             }
         }
-        let counts = |(i, sums): (usize, &Sums)| (i != largest).then(|| sums.counts()).flatten();
-        let counts: Vec<Option<[usize; 2]>> = parts.sums.iter().enumerate().map(counts).collect();
-        let mut clusters: Vec<Vec<usize>> = vec![Vec::new(); counts.len()];
+        let may_vanish = |part: usize| part != largest && parts.sums[part].fits();
+        let mut clusters: Vec<Vec<usize>> = vec![Vec::new(); parts.sums.len()];
         for (i, &part) in parts.of_clusters.iter().enumerate() {
-            if part != NONE && counts[part as usize].is_some() {
+            if part != NONE && may_vanish(part as usize) {
                 clusters[part as usize].push(i);
             }
         }
-        let chain = |((clusters, counts), sums)| Some(self.chain(clusters, counts?, sums, grid, level));
-        clusters
+        let vanishing = clusters
             .into_iter()
-            .zip(counts)
-            .zip(parts.sums)
-            .filter_map(chain)
+            .zip(&parts.sums)
+            .filter(|(clusters, _)| !clusters.is_empty());
+        vanishing
+            .map(|(clusters, sums)| self.chain(clusters, sums, grid, level))
             .collect()
     }
 
-    fn chain(&self, clusters: Vec<usize>, [length, singles]: [usize; 2], sums: Sums, grid: &Grid, level: u32) -> Chain {
+    fn chain(&self, clusters: Vec<usize>, sums: &Sums, grid: &Grid, level: u32) -> Chain {
         let smallest = grid.spacing.into_iter().fold(f32::INFINITY, f32::min);
         let squared: f64 = clusters.iter().map(|&i| f64::from(self.clusters[i].quadric.c)).sum();
         let error = squared.max(MOMENT_SHARE * sums.moment).sqrt() / f64::from(smallest);
         let step = |axis: usize| step(grid, axis) * f64::from(1u32 << level);
+        // Beyond 1024 cells the position does not fit. Nothing shows it: a vanished part has no triangle.
         let at: [u32; 3] =
             std::array::from_fn(|axis| (sums.centroid[axis] / step(axis)).round_ties_even().clamp(0.0, 65536.0) as u32);
         let mean = |of: fn(&TreeMembers) -> f32| {
@@ -158,8 +154,8 @@ impl Remains {
             clusters,
             node,
             error: (error as f32).to_bits(),
-            length,
-            singles,
+            length: sums.chain_length(),
+            is_odd: sums.triangles % 2 == 1,
         }
     }
 

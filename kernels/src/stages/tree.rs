@@ -86,7 +86,7 @@ pub struct Risen<'a> {
 pub struct Level<'a> {
     /// 0: the blocks are regions.
     pub number: u32,
-    /// There is one block.
+    /// There is no level above.
     pub is_last: bool,
     /// Extent of the volume, in blocks instead of regions.
     pub grid: Grid,

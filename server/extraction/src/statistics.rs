@@ -142,8 +142,8 @@ pub struct ExtractionStatistics {
     pub removed_triangles: Option<u64>,
     /// Positions of `parts` with no surface next to them, which selected nothing. Null as `removedParts`.
     pub unmatched_positions: Option<u64>,
-    /// Parts that decimation has made vanish, because not even one tetrahedron a part is within the budget, or as `topology` is `free`.
-    /// Null: this is a cut of the octree, where parts that vanish are not counted.
+    /// Small parts that the cut leaves out, because no cut with all parts is within the budget, or because `topology` is `free`.
+    /// Null: this is a cut of cubes, in which parts that vanish are not counted.
     pub vanished_parts: Option<u64>,
     /// Cells that the surface crosses.
     pub active_cells: u64,

@@ -26,6 +26,18 @@ use super::{CutId, Refinement, WorkError};
 /// larger surface is first shown as a cut of cubes.
 const MAX_FULL_TRIANGLES: u64 = 1_500_000;
 
+/// Whether parts may vanish at any budget. If parts are removed, the others stay: the largest part, which never vanishes, may be among the
+/// removed ones.
+fn is_free(view: &View) -> bool {
+    view.topology == TopologyName::Free && !view.removes_parts()
+}
+
+/// Whether parts have vanished from a view's tree cut to keep its budget.
+fn has_given_way(view: &View) -> bool {
+    let gave_way = |fitted: Fitted| fitted.is_tree_cut && fitted.topology == Topology::Free;
+    view.fitted.is_some_and(gave_way) && !view.removes_parts()
+}
+
 impl Workspace {
     /// Makes the final surface of a view as a cut of the vertex tree. `None` if there is no tree, or if no cut of the tree is small enough.
     ///
@@ -128,10 +140,7 @@ impl OnDevice<'_> {
             max_triangles: view.max_triangles(full).unwrap_or(u64::MAX),
             max_tolerance: self.error_guard(view),
             without,
-            may_vanish: view.topology == TopologyName::Free
-                || view
-                    .fitted
-                    .is_some_and(|fitted| fitted.is_tree_cut && fitted.topology == Topology::Free),
+            may_vanish: is_free(view) || has_given_way(view),
         })
     }
 
@@ -182,7 +191,7 @@ impl OnDevice<'_> {
             return Ok(TreeCut::NoTree);
         };
         let goal = TreeGoal {
-            may_vanish: view.topology == TopologyName::Free,
+            may_vanish: is_free(view),
             ..self.tree_goal(view, &tree, &params, cancel)?
         };
         let (surface, tolerance, may_vanish) = self.cut_to_budget(view, &tree, &params, goal.clone(), cancel)?;
@@ -210,7 +219,7 @@ impl OnDevice<'_> {
         Ok(TreeCut::Made(self.with_all_stages(surface)))
     }
 
-    /// Cuts the tree. Where the topology is `auto`, small parts vanish if no cut with all parts is within the budget. Also returns the
+    /// Cuts the tree. If the topology is `auto` and no cut with all parts is within the budget, small parts vanish. Also returns the
     /// tolerance, and whether the topology has given way.
     fn cut_to_budget(
         &self,
@@ -225,7 +234,8 @@ impl OnDevice<'_> {
                 .tree_surface(self.volume, self.pyramid, tree, params, goal, cancel)
         };
         let (surface, tolerance) = cut(&goal)?;
-        if surface.statistics.triangles <= goal.max_triangles || view.topology != TopologyName::Auto {
+        let may_give_way = view.topology == TopologyName::Auto && !view.removes_parts();
+        if surface.statistics.triangles <= goal.max_triangles || !may_give_way {
             return Ok((surface, tolerance, goal.may_vanish));
         }
         let (surface, tolerance) = cut(&TreeGoal {
@@ -236,8 +246,8 @@ impl OnDevice<'_> {
         Ok((surface, tolerance, gave_way))
     }
 
-    /// Makes a coarser cut of the tree than the view's final one. The coarser cut has the same parts and topology, but no guard on the
-    /// error. `None` if there is no tree, or if no cut of the tree has so few triangles.
+    /// Makes a coarser cut of the tree than the view's final one. The coarser cut has the same topology unless it is free, but no guard on
+    /// the error. `None` if there is no tree, or if no cut of the tree has so few triangles.
     pub(crate) fn tree_prefix(
         &self,
         view: &View,
@@ -252,7 +262,7 @@ impl OnDevice<'_> {
         let coarser = TreeGoal {
             max_triangles: goal.max_triangles.min(limits.triangles),
             max_tolerance: f32::INFINITY,
-            may_vanish: view.topology == TopologyName::Free,
+            may_vanish: is_free(view),
             ..goal
         };
         let surface = self

@@ -200,7 +200,7 @@ fn the_command_says_how_many_and_refuses_what_it_cannot_do() {
     // The minimum is that of the remaining parts, and a cut of cubes, which has all parts, does not replace the tree's.
     let (all, left) = (
         over("--triangles 3 --topology preserve"),
-        over("--triangles 3 --topology preserve --min-part 400"),
+        over("--triangles 3 --min-part 400"),
     );
     assert!(left < all, "{left} triangles at least, {all} with all parts");
     assert!(run(&format!("--triangles {left} --min-part 400")).status.success());

@@ -335,6 +335,18 @@ fn cuts_agree_with_the_twins_and_keep_the_topology() {
     });
 }
 
+/// A volume of more than one block at the last level.
+#[test]
+fn cuts_of_long_volumes_agree_with_the_twins() {
+    let Some(engine) = device() else { return };
+    for (dims, seed) in [([14, 11, 300], 3), ([270, 12, 15], 4)] {
+        let planted = plant(&engine, &Recipe::plain(dims, Pattern::Waves(10), seed), false);
+        let host = HostTree::read(&engine, &planted);
+        check(&engine, &host).expect("the twin's nodes");
+        check_cuts(&engine, &planted, &host, seed).expect("the twin's cuts");
+    }
+}
+
 #[test]
 fn budgets_are_used_but_for_what_repairs_need() {
     let Some(engine) = device() else { return };

@@ -16,15 +16,17 @@ fn step(mut cell: Cell, axis: usize, by: i32) -> Cell {
 /// The mesh of the surface at 0 in a cubic volume of `cells` cells along each axis; `value` is above 0 inside. The surface may leave the
 /// volume at the face z = 0.
 pub fn surface_nets(cells: i32, spacing: [f32; 3], value: impl Fn([f32; 3]) -> f32) -> FullMesh {
+    surface_nets_of([cells; 3], spacing, value)
+}
+
+/// The same in a volume of `cells` cells.
+pub fn surface_nets_of(cells: [i32; 3], spacing: [f32; 3], value: impl Fn([f32; 3]) -> f32) -> FullMesh {
     let mut numbers = BTreeMap::new();
     let mut quads = Vec::new();
-    for at in 0..(cells + 1).pow(3) {
-        let sample = [
-            at % (cells + 1),
-            at / (cells + 1) % (cells + 1),
-            at / (cells + 1) / (cells + 1),
-        ];
-        for axis in (0..3).filter(|&axis| sample[axis] < cells) {
+    let [nx, ny, nz] = cells.map(|n| n + 1);
+    for at in 0..nx * ny * nz {
+        let sample = [at % nx, at / nx % ny, at / nx / ny];
+        for axis in (0..3).filter(|&axis| sample[axis] < cells[axis]) {
             let [from, to] = [sample, step(sample, axis, 1)].map(|p| value(p.map(|x| x as f32)) > 0.0);
             if from != to {
                 let [b, c] = [(axis + 1) % 3, (axis + 2) % 3];
@@ -52,7 +54,7 @@ pub fn surface_nets(cells: i32, spacing: [f32; 3], value: impl Fn([f32; 3]) -> f
         of_region.extend([[a, b, c], [a, c, d]]);
     }
     FullMesh {
-        grid: Grid::new([cells as u32 + 1; 3], spacing).expect("a valid grid"),
+        grid: Grid::new(cells.map(|n| n as u32 + 1), spacing).expect("a valid grid"),
         cap: false,
         points,
         triangles,
