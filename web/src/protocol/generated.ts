@@ -865,8 +865,8 @@ export type Statistics = {
   /** Positions of `parts` with no surface next to them, which selected nothing. Null as `removedParts`. */
   unmatchedPositions: number | null,
   /**
-   * Parts that decimation has made vanish, because not even one tetrahedron a part is within the budget, or as `topology` is `free`.
-   * Null: this is a cut of the octree, where parts that vanish are not counted.
+   * Small parts that the cut leaves out, because no cut with all parts is within the budget, or because `topology` is `free`.
+   * Null: this is a cut of cubes, in which parts that vanish are not counted.
    */
   vanishedParts: number | null,
   /** Cells that the surface crosses. */
