@@ -12,7 +12,8 @@
 
 // Verdicts on a pair: flags in TreeBlock::best of its first cluster, beside a number.
 #define GIVE_UP 0x80000000u   // in this round
-#define SET_ASIDE 0x40000000u // until one of the two merges: it would be chosen in every round
+#define SET_ASIDE 0x40000000u // until one of the two merges: it would be chosen in every round; in a soft block penalised instead
+#define EXCLUDED 0x20000000u  // until one of the two merges, in a soft block, too
 
 // Cost of merging a cluster with its partner.
 inline float partner_cost(const TreeBlock *block, uint a) { return pair_cost(block, a, block->partners[a]); }
@@ -37,8 +38,22 @@ INLINED void test_lines(const TreeBlock *block, uint a, const MergedRing *ring, 
     }
 }
 
+// Whether other blocks are beside a ring along more than one line. A cluster of such a block that meets the ring's cluster along both lines
+// would join the surface there twice.
+INLINED bool meets_others_twice(const MergedRing *ring, uint count, bool open) {
+    uint lines = 0, own = 0;
+    uint before = open || !count ? 0 : merged_entry(ring, count - 1) & FOREIGN;
+    for (uint i = 0; i < count; i++) {
+        const uint foreign = merged_entry(ring, i) & FOREIGN;
+        lines += foreign > before;
+        own += !foreign;
+        before = foreign;
+    }
+    return lines > 1 || (!open && own + lines < 3);
+}
+
 // Marks a pair that meets another one along more than one line and costs more, one with too few triangles left, one that would close
-// the border, and one that folds the surface.
+// the border, one that meets other blocks along more than one line, and one that folds the surface.
 // Undoing a merge makes no other one fail: its neighbours keep more triangles, and meet along no more lines.
 INLINED void test_pair(const TreeBlock *block, uint a) {
     const JoinedRing joined = join_rings(block, a);
@@ -48,23 +63,24 @@ INLINED void test_pair(const TreeBlock *block, uint a) {
     const bool fails = joined.open ? count == 0 || merged_entry(&ring, 0) == merged_entry(&ring, count - 1) : count < 3;
     if (fails) or_global(block->best + a, GIVE_UP);
     if (!all_differ(&ring, count)) test_lines(block, a, &ring, count, joined.open);
+    if (meets_others_twice(&ring, count, joined.open)) or_global(block->best + a, EXCLUDED);
     const bool may_fold = block->is_soft && is_penalised(partner_cost(block, a));
     if (!may_fold && folds(block, a, &ring, count, joined.open)) or_global(block->best + a, SET_ASIDE);
 }
 
-// Excludes the edge between a cluster and its partner from the cluster's choice until one of them merges; in a soft block, penalises it.
-inline void set_edge_aside(const TreeBlock *block, uint at) {
+// Excludes the edge between a cluster and its partner from the cluster's choice until one of them merges; or penalises it.
+inline void set_edge_aside(const TreeBlock *block, uint at, bool penalises) {
     const uint partner = block->partners[at], entry = ring_entry(block, at, partner);
     float cost = INFINITY;
-    if (block->is_soft)
+    if (penalises)
         cost = penalised_cost(block->costs[entry], merge_penalty(block, at, partner, block->merged_positions[at].xyz));
     block->costs[entry] = cost;
 }
 
 // Applies a verdict to one cluster of a pair. Returns whether the pair is given up.
 INLINED bool settle_cluster(const TreeBlock *block, uint at, uint verdict) {
-    if (verdict & SET_ASIDE) set_edge_aside(block, at);
-    if (!(verdict & (GIVE_UP | SET_ASIDE))) return false;
+    if (verdict & (SET_ASIDE | EXCLUDED)) set_edge_aside(block, at, block->is_soft && !(verdict & EXCLUDED));
+    if (!(verdict & (GIVE_UP | SET_ASIDE | EXCLUDED))) return false;
     block->partners[at] = CHANGES; // partners could not be marked
     block->merged_positions[at] = block->positions[at];
     return true;

@@ -9,9 +9,33 @@ use crate::cluster::{Vector, add, cross, dot, merge, subtract};
 /// Minus the cosine between the normals of two triangles that share an edge, around a cluster that has merged.
 const MAX_FOLD: f32 = 0.8;
 
+/// What is around a pair if all pairs merge.
+pub(super) struct MergedRing {
+    pair: [usize; 2],
+    is_open: bool,
+    /// Counter-clockwise, each with its position.
+    corners: Vec<(usize, Vector)>,
+    /// Position of the merged cluster.
+    centre: Vector,
+}
+
+impl MergedRing {
+    fn folds(&self) -> bool {
+        let mut corners = self.corners.clone();
+        if !self.is_open {
+            corners.extend_from_within(..2.min(corners.len()));
+        }
+        let normals: Vec<Vector> = corners
+            .windows(2)
+            .map(|pair| cross(subtract(pair[0].1, self.centre), subtract(pair[1].1, self.centre)))
+            .collect();
+        normals.windows(2).any(|pair| folds_back(pair[0], pair[1]))
+    }
+}
+
 impl Block {
-    /// Pairs, except penalised ones, that fold the surface if all pairs merge: around the merged cluster, one triangle folds back over the next.
-    pub(super) fn folding_pairs(&self, pairs: &[[usize; 2]]) -> Vec<[usize; 2]> {
+    /// The corners around each pair if all pairs merge: in its ring, neighbours merged, each with its position.
+    pub(super) fn merged_rings(&self, pairs: &[[usize; 2]]) -> Vec<MergedRing> {
         let merged: BTreeMap<usize, (usize, Vector)> = pairs
             .iter()
             .flat_map(|&[a, b]| {
@@ -21,25 +45,40 @@ impl Block {
             })
             .collect();
         let after = |v: usize| merged.get(&v).copied().unwrap_or((v, self.position(v)));
-        let folds = |&[a, b]: &[usize; 2]| {
+        let ring = |&[a, b]: &[usize; 2]| {
             let is_open = self.clusters[a].on_border || self.clusters[b].on_border;
-            let mut ring: Vec<_> = self.joined_ring(a, b, is_open).into_iter().map(after).collect();
-            ring.dedup_by_key(|corner| corner.0);
-            if !is_open {
-                if ring.len() > 1 && ring[0].0 == ring[ring.len() - 1].0 {
-                    ring.pop();
-                }
-                ring.extend_from_within(..2.min(ring.len()));
+            let mut corners: Vec<_> = self.joined_ring(a, b, is_open).into_iter().map(after).collect();
+            corners.dedup_by_key(|corner| corner.0);
+            if !is_open && corners.len() > 1 && corners[0].0 == corners[corners.len() - 1].0 {
+                corners.pop();
             }
-            let centre = after(a).1;
-            let normals: Vec<Vector> = ring
-                .windows(2)
-                .map(|corners| cross(subtract(corners[0].1, centre), subtract(corners[1].1, centre)))
-                .collect();
-            normals.windows(2).any(|pair| folds_back(pair[0], pair[1]))
+            MergedRing {
+                pair: [a, b],
+                is_open,
+                corners,
+                centre: after(a).1,
+            }
         };
-        let tested = pairs.iter().copied().filter(|pair| !self.penalised.contains_key(pair));
-        tested.filter(folds).collect()
+        pairs.iter().map(ring).collect()
+    }
+
+    /// Pairs, except penalised ones, that fold the surface if all pairs merge: around the merged cluster, one triangle folds back over the next.
+    pub(super) fn folding_pairs(&self, rings: &[MergedRing]) -> Vec<[usize; 2]> {
+        let tested = rings.iter().filter(|ring| !self.penalised.contains_key(&ring.pair));
+        tested.filter(|ring| ring.folds()).map(|ring| ring.pair).collect()
+    }
+
+    /// Pairs that would meet other blocks along more than one line, or could be left with fewer than three neighbours once these have merged.
+    pub(super) fn excluded_pairs(&self, rings: &[MergedRing]) -> Vec<[usize; 2]> {
+        let is_excluded = |ring: &&MergedRing| {
+            let others: Vec<bool> = ring.corners.iter().map(|corner| !self.is_own(corner.0)).collect();
+            let before_first = !ring.is_open && others.last().copied().unwrap_or(false);
+            let before = [before_first].into_iter().chain(others.iter().copied());
+            let lines = before.zip(&others).filter(|&(before, &other)| other && !before).count();
+            let own = others.iter().filter(|&&other| !other).count();
+            lines > 1 || (!ring.is_open && own + lines < 3)
+        };
+        rings.iter().filter(is_excluded).map(|ring| ring.pair).collect()
     }
 
     /// The ring around two neighbours, counter-clockwise; on the border from one end to the other.

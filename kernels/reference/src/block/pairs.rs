@@ -28,14 +28,18 @@ impl Block {
         let pairs = self.choose_pairs();
         // The pair test compares the costs with which pairs were chosen.
         let mut failed = self.failed_pairs(&pairs);
-        for pair in self.folding_pairs(&pairs) {
+        let rings = self.merged_rings(&pairs);
+        let excluded = self.excluded_pairs(&rings);
+        for pair in self.folding_pairs(&rings) {
             failed.insert(pair[0]);
-            if self.is_soft {
-                self.penalise(pair);
-            } else {
+            if !self.is_soft {
                 self.aside.insert(pair);
+            } else if !excluded.contains(&pair) {
+                self.penalise(pair);
             }
         }
+        failed.extend(excluded.iter().map(|pair| pair[0]));
+        self.aside.extend(excluded);
         let changed: BTreeSet<usize> = pairs
             .iter()
             .flatten()
