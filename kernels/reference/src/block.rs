@@ -39,7 +39,7 @@ pub(crate) struct Block {
     /// Remaining triangles, corners by number.
     pub(crate) triangles: Vec<[usize; 3]>,
     fans: Vec<Fan>,
-    /// Pairs that would fold the surface, the smaller number first: not tried again until one of the two merges.
+    /// Pairs that would fold the surface or that other blocks exclude, the smaller number first: not tried again until one of the two merges.
     aside: BTreeSet<[usize; 2]>,
     /// Pairs that may not merge, the smaller number first: not tried again until a cluster around one of the two merges.
     refused: BTreeSet<[usize; 2]>,
