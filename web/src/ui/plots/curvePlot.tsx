@@ -7,6 +7,8 @@ import { formatCount, formatLength, formatShare } from "../format";
 import { errorAt, FINE_ERROR, fineSide, linePath, meetsAxisText, nowFits, toX, toY, trianglesFor } from "./errorCurve";
 
 const SIZE = { width: 296, height: 46 };
+/** Height of a line of text. */
+const TEXT_HEIGHT = 10;
 /** Lines of equal error, in voxels. */
 const GRID = [0.01, 0.1, 1];
 export interface CurvePlotProps {
@@ -50,7 +52,7 @@ export function CurvePlot(props: CurvePlotProps) {
           <g transform={`translate(${nowX()} ${toY(rms() / props.lengths.spacing, SIZE)})`}>
             <line class="drop" y2={SIZE.height - toY(rms() / props.lengths.spacing, SIZE)} />
             <circle class="now" r={4.5} />
-            <NowText text={nowText()} x={nowX()} />
+            <NowText text={nowText()} x={nowX()} y={toY(rms() / props.lengths.spacing, SIZE)} />
           </g>
         )}
       </Show>
@@ -59,10 +61,10 @@ export function CurvePlot(props: CurvePlotProps) {
 }
 
 /** The error at the point: above the falling curve, to its right, but not out of the plot. */
-function NowText(props: { readonly text: string; readonly x: number }) {
+function NowText(props: { readonly text: string; readonly x: number; readonly y: number }) {
   const fits = () => nowFits(props.text, props.x, SIZE);
   return (
-    <text class="now-text" x={fits() ? 6 : SIZE.width - props.x - 2} y={-7} text-anchor={fits() ? "start" : "end"}>
+    <text class="now-text" x={fits() ? 6 : SIZE.width - props.x - 2} y={Math.max(-7, TEXT_HEIGHT - props.y)} text-anchor={fits() ? "start" : "end"}>
       {props.text}
     </text>
   );
