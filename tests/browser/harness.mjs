@@ -280,7 +280,8 @@ export async function saveScreenshot(page, name) {
 /** Drags the slider with this label to a position, 0 to 1, with the mouse. */
 export async function dragSlider(page, label, to) {
   const slider = page.getByRole("slider", { name: label, exact: true }).and(page.locator("input"));
-  await slider.scrollIntoViewIfNeeded();
+  // Scrolls there, and waits until cards above it no longer grow.
+  await slider.hover();
   const box = await slider.boundingBox();
   const thumb = 16;
   const x = (position) => box.x + thumb / 2 + position * (box.width - thumb);
