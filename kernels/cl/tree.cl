@@ -4,7 +4,7 @@
 // region, first those of cells and sheets of all regions (Region::point_base), then those on the volume's faces
 // (TreeRegion::border_base). dual_emit writes triangles with these numbers.
 //
-// One work-group a region, but for tree_gather: a block. tree_build.cl makes the nodes.
+// One work-group a region; of tree_gather, a block. tree_build.cl makes the nodes.
 //
 //   kernel         writes
 //   tree_borders   numbers of the points on the volume's faces, how many

@@ -254,8 +254,6 @@ INLINED void find_pairs(TreeBlock *block, __local uint *scratch, __local uint *c
     settle_pairs(block, scratch);
 }
 
-#define MAX_CUBE_LEVEL 5u // of nodes of larger blocks, too
-
 // Output buffers of a block's nodes.
 typedef struct {
     __global TreeNode *nodes;
@@ -293,8 +291,8 @@ INLINED void commit_merge(const TreeBlock *block, const TreeOutput *out, uint a,
     node.normal_s = encode_octahedral8((float3)(own->normal[0], own->normal[1], own->normal[2]))
         | (uint)(clamp(own->s * per_area, 0.0f, 1.0f) * 65535.0f + 0.5f) << 16;
     node.f = own->f * per_area;
-    const uint border = (first_flags | second_flags) & CLUSTER_BORDER ? 1 : 0;
-    node.meta = min(extent_level(own->extent) + out->level, MAX_CUBE_LEVEL) | border << 3 | out->region << 6;
+    const uint border = (first_flags | second_flags) & CLUSTER_BORDER ? NODE_BORDER : 0;
+    node.meta = min(extent_level(own->extent) + out->level, MAX_CUBE_LEVEL) | border | out->region << 6;
     out->nodes[index] = node;
     out->node_errors[index] = as_uint(sqrt(quadric.c) * out->per_length) | (first_flags & second_flags & CLUSTER_BORDER ? KEY_SINGLE : 0);
     out->node_levels[index] = (uchar)tree_level(node.meta);
@@ -328,7 +326,7 @@ INLINED void commit_batch(const TreeBlock *block, const TreeOutput *out, PairBat
     STORE_LANES(q.ayz, rows + 4 * LANES);
     STORE_LANES(q.azz, rows + 5 * LANES);
     STORE_REAL3(q.b, rows + 6 * LANES, LANES)
-    // No merge makes the error smaller. Rounding would, where clusters are large and nearly flat.
+    // No merge makes the error smaller. Rounding would, if clusters are large and nearly flat.
     STORE_LANES(fmax(q.c, merges.children), rows + 9 * LANES);
     STORE_REAL3(q.m, rows + 10 * LANES, LANES)
     STORE_LANES(q.k, rows + 13 * LANES);

@@ -18,7 +18,7 @@ use std::ops::Range;
 const CORE_TRIANGLES: u64 = 50_000;
 /// Clusters of a block times rounds of one launch on a CPU: as many as `CORE_TRIANGLES` take.
 const CORE_VISITS: u32 = 100_000;
-/// The same on a GPU, where a block has hundreds of work-items.
+/// The same on a GPU: a block has hundreds of work-items there.
 const GPU_VISITS: u32 = 2_000_000;
 
 /// Minimum triangles of a launch on a GPU, which needs many blocks at once. A launch takes half of all triangles, to bound memory.
