@@ -4,6 +4,7 @@
 //
 //   kernel          writes
 //   tree_weigh      of each node the maximum importance of its points
+//   tree_lower      of each node above the regions the minimum weight of its points' regions
 //   tree_keys       of each node its key
 //   tree_histogram  triangles that are removed as the tolerance grows
 //   tree_leaves     the leaf of each point
@@ -69,13 +70,57 @@ void tree_weigh(const TreeWeighArgs args, __constant float2 *transfer_points, __
     }
 }
 
-// `weighted`: whether importances are read, or all weights are 1. `marked`: blocks with new marks; the others keep their keys, unless one
-// above has new ones. `renewed`: receives which blocks do not.
+// Lowers the number of a node above the regions. `node`: of all nodes, or NONE.
+inline void lower_node(__global uint *numbers, uint first_above, uint node, uint value) {
+    if (node != NONE && node >= first_above) atomic_min(&numbers[node - first_above], value);
+}
+
+// `region_weights`: above 0. `node_weights`: of the nodes above the regions, bits of floats; infinity before the first level.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
-void tree_keys(const uint weighted, const uint first_block, __global const TreeRegion *tree_regions, __global const uint *node_errors,
+void tree_lower(const TreeLowerArgs args, __global const Region *regions, __global const TreeRegion *tree_regions,
+                __global const uint *node_parents, __global const uint *round_ends, __global const uint *point_parents,
+                __global const float *region_weights, __global uint *node_weights) {
+    const uint lid = get_local_id(0), group = args.first_block + (uint)get_group_id(0);
+    const bool is_region = group < args.regions;
+    __global const TreeRegion *tree = tree_regions + group;
+    TreePoints own;
+    find_block_points(&own, regions, args.regions, tree_regions, group);
+    if (is_region) {
+        const uint weight = as_uint(region_weights[group]);
+        for (uint i = lid; i < count_points(own); i += GROUP)
+            lower_node(node_weights, args.first_above, point_parents[nth_point(own, i)], weight);
+        for (uint i = lid; i < tree->nodes; i += GROUP)
+            lower_node(node_weights, args.first_above, node_parents[tree->node_base + i], weight);
+    }
+    for (uint round = 0; round < (is_region ? 0 : tree->rounds); round++) {
+        barrier(CLK_GLOBAL_MEM_FENCE);
+        const uint end = round_end(round_ends, group, round);
+        for (uint i = round_begin(round_ends, group, round) + lid; i < end; i += GROUP) {
+            const uint at = tree->node_base + i;
+            lower_node(node_weights, args.first_above, node_parents[at], node_weights[at - args.first_above]);
+        }
+    }
+    // A part vanishes as a whole.
+    for (uint round = group == args.vanishing ? tree->rounds : 0; round-- > 0;) {
+        barrier(CLK_GLOBAL_MEM_FENCE);
+        const uint end = round_end(round_ends, group, round);
+        for (uint i = round_begin(round_ends, group, round) + lid; i < end; i += GROUP) {
+            const uint at = tree->node_base + i, parent = node_parents[at];
+            if (parent != NONE) node_weights[at - args.first_above] = node_weights[parent - args.first_above];
+        }
+    }
+}
+
+// `importances`, `region_weights` and `node_weights` are not read if all weights are 1 without them. `marked`: blocks with new marks; the
+// others keep their keys, unless one above has new ones. `renewed`: receives which blocks do not.
+__kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
+void tree_keys(const TreeKeysArgs args, __global const TreeRegion *tree_regions, __global const uint *node_errors,
                __global const uint *node_parents, __global const uint *round_ends, __global const uint *importances,
-               __global const uchar *marks, __global uint *marked, __global uint *renewed, __global uint *keys) {
-    const uint lid = get_local_id(0), group = first_block + (uint)get_group_id(0);
+               __global const float *region_weights, __global const uint *node_weights, __global const uchar *marks,
+               __global uint *marked, __global uint *renewed, __global uint *keys) {
+    const uint lid = get_local_id(0), group = args.first_block + (uint)get_group_id(0);
+    const bool is_region = group < args.regions;
+    const float region_weight = args.has_weights && is_region ? region_weights[group] : 1.0f;
     __global const TreeRegion *tree = tree_regions + group;
     const uint is_marked = marked[group] || (tree->above != NONE && renewed[tree->above]);
     barrier(CLK_GLOBAL_MEM_FENCE);
@@ -89,7 +134,11 @@ void tree_keys(const uint weighted, const uint first_block, __global const TreeR
         for (uint i = round_begin(round_ends, group, round) + lid; i < end; i += GROUP) {
             const uint at = tree->node_base + i, parent = node_parents[at], packed = node_errors[at];
             uint key = key_bits(packed);
-            if (weighted) key = as_uint(error_over_weight(as_float(key), as_float(importances[at])));
+            if (args.has_importances) key = as_uint(error_over_weight(as_float(key), as_float(importances[at])));
+            if (args.has_weights) {
+                const float weight = is_region ? region_weight : as_float(node_weights[at - args.first_above]);
+                key = as_uint(over_region_weight(as_float(key), weight, args.in_steps, args.guard));
+            }
             if (marks[at]) key = as_uint(INFINITY);
             // In the order of numbers, which is that of keys.
             keys[at] = min(key, parent == NONE ? as_uint(INFINITY) : key_bits(keys[parent])) | (packed & KEY_SINGLE);

@@ -30,6 +30,7 @@ fn goal(max_triangles: u64) -> TreeGoal {
         max_tolerance: f32::INFINITY,
         without: PartFilter::default(),
         may_vanish: false,
+        weights: None,
     }
 }
 

@@ -90,7 +90,7 @@ pub use surface::{
 };
 pub use synthetic::{DeviceSpeed, Shape, Synthetic};
 pub use transfer::{ControlPoint, TransferFunction};
-pub use tree::{ChosenParts, PartFilter, TreeGoal, VertexTree};
+pub use tree::{ChosenParts, PartFilter, RegionWeights, TreeGoal, VertexTree};
 pub use tuning::Tuning;
 pub use volume::{Grid, SampleType, Samples, Volume};
 

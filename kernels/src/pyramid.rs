@@ -65,13 +65,19 @@ impl Pyramid {
         self.host_regions.iter().map(of).sum()
     }
 
+    /// Position of each active region, in units of 32 cells.
+    pub fn region_coords(&self) -> impl Iterator<Item = [u32; 3]> {
+        let [rx, ry, _] = self.grid.regions();
+        let of = move |linear: u32| [linear % rx, linear / rx % ry, linear / rx / ry];
+        self.host_regions.iter().map(move |region| of(region.region))
+    }
+
     /// Indices of the active regions in Morton order: neighbours follow each other.
     pub fn regions_in_morton_order(&self) -> Vec<usize> {
-        let [rx, ry, _] = self.grid.regions();
-        let mut order: Vec<usize> = (0..self.host_regions.len()).collect();
+        let all: Vec<[u32; 3]> = self.region_coords().collect();
+        let mut order: Vec<usize> = (0..all.len()).collect();
         order.sort_by_cached_key(|&index| {
-            let linear = self.host_regions[index].region;
-            let coords = [linear % rx, linear / rx % ry, linear / rx / ry];
+            let coords = all[index];
             let spread = |c: u32| (0..21).fold(0u64, |bits, i| bits | (u64::from(c) >> i & 1) << (3 * i));
             spread(coords[0]) | spread(coords[1]) << 1 | spread(coords[2]) << 2
         });

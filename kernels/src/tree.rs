@@ -3,7 +3,7 @@
 use crate::buffer::Buffer;
 use crate::layout::{RegionMesh, TreeNode, TreeRegion};
 use crate::lock::lock;
-use crate::{CutParams, Pyramid, RemovedParts};
+use crate::{CurvePoint, CutParams, Pyramid, RemovedParts};
 use std::ops::Range;
 use std::sync::{Arc, Mutex, OnceLock};
 
@@ -43,6 +43,8 @@ pub struct VertexTree {
     pub(crate) isolated_points: u64,
     /// Its parts; computed at the first use.
     pub(crate) parts: OnceLock<Arc<TreeParts>>,
+    /// How the estimated error grows with the tolerance, if all weights are 1; computed at the first use.
+    pub(crate) uniform_curve: OnceLock<Vec<CurvePoint>>,
     /// Cache of the last removal: a view is cut many times without the same parts.
     pub(crate) left_out: Mutex<Option<Arc<LeftOut>>>,
     /// The last cut, for queries on its surface.
@@ -67,12 +69,35 @@ pub struct TreeGoal {
     pub tolerance: f32,
     /// Budget: more nodes are merged until at most this number of triangles remains.
     pub max_triangles: u64,
-    /// Guard: no node is merged whose error over its weight exceeds this, world units.
+    /// Guard: no node is merged whose error over its weight exceeds this, world units. Weights of regions do not count.
     pub max_tolerance: f32,
     /// Parts that are left out before the cut.
     pub without: PartFilter,
     /// Whether small parts may vanish: each does if its size is below the tolerance.
     pub may_vanish: bool,
+    /// Weights of regions, beside those of importance.
+    pub weights: Option<Arc<RegionWeights>>,
+}
+
+impl TreeGoal {
+    /// Maximum tolerance of a cut.
+    pub(crate) fn limit(&self) -> f32 {
+        match &self.weights {
+            // The guard is in the keys.
+            Some(_) => f32::MAX,
+            None => self.max_tolerance.min(f32::MAX),
+        }
+    }
+}
+
+/// How much more error each region may have: a node is merged up to the tolerance times the minimum weight of the regions that its points
+/// are in (`docs/algorithm.md#81-cuts-for-a-camera`).
+#[derive(Clone, Debug, PartialEq)]
+pub struct RegionWeights {
+    /// Finite numbers above 0, in the order of [`Pyramid::region_coords`].
+    pub of_regions: Vec<f32>,
+    /// Whether tolerances are powers of two: errors count as the next one. Then regions whose weight changes by a little keep their cut.
+    pub in_steps: bool,
 }
 
 /// Parts of the surface that are chosen by positions, in cells: each chooses the part of the vertex that [`crate::Engine::probe`] finds
@@ -199,6 +224,11 @@ impl VertexTree {
     /// Whether it is the tree of this pyramid.
     pub fn is_of(&self, pyramid: &Pyramid) -> bool {
         self.pyramid == pyramid.id
+    }
+
+    /// Area of the full dual mesh in each region, world units, in the order of [`Pyramid::region_coords`].
+    pub fn region_areas(&self) -> impl Iterator<Item = f32> {
+        self.blocks[..self.block_levels[0].end].iter().map(|region| region.area)
     }
 
     /// Triangles of the full dual mesh.

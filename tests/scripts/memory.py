@@ -55,7 +55,7 @@ def report(count):
 async def viewer(number, volume, isovalues):
     chosen = random.Random(number)
     uri = f"ws://127.0.0.1:{args.port}/api/v1/stream"
-    async with websockets.connect(uri, subprotocols=["isopeel.v2"], max_size=None, compression=None) as socket:
+    async with websockets.connect(uri, subprotocols=["isopeel.v3"], max_size=None, compression=None) as socket:
         await socket.send(json.dumps({"type": "open", "volume": volume}))
         for edit in range(args.edits // args.viewers):
             kinds = [{"iso": chosen.uniform(*isovalues)}, {"beta": chosen.uniform(0.01, 0.3)}, {"alpha": chosen.random()},

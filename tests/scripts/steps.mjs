@@ -47,7 +47,7 @@ async function serve(readAhead) {
 /** Milliseconds of each step, and the bytes of its chunks. */
 async function play(address) {
   const [volume] = await (await fetch(`${address}/api/v1/volumes`)).json();
-  const socket = new WebSocket(`${address.replace("http", "ws")}/api/v1/stream`, "isopeel.v2");
+  const socket = new WebSocket(`${address.replace("http", "ws")}/api/v1/stream`, "isopeel.v3");
   let bytes = 0;
   const waiting = [];
   socket.on("message", (data, isBinary) => {

@@ -89,7 +89,7 @@ describe("a client that follows", () => {
   beforeEach(async () => {
     vi.stubGlobal("WebSocket", WebSocket);
     said.length = heard.length = 0;
-    server = new WebSocketServer({ port: 0, handleProtocols: () => "isopeel.v2" });
+    server = new WebSocketServer({ port: 0, handleProtocols: () => "isopeel.v3" });
     server.on("connection", (connected: Socket) => {
       socket = connected;
       connected.on("message", (data: Buffer) => {

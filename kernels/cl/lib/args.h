@@ -263,6 +263,25 @@ typedef struct {
     uint vanishing; // Number of the block of nodes at which parts vanish, or `NONE`.
 } TreeWeighArgs;
 
+// Arguments of `tree_lower`.
+typedef struct {
+    uint first_block; // First block of this launch.
+    uint regions; // Number of regions, which are the first blocks.
+    uint first_above; // First node above the regions.
+    uint vanishing; // Number of the block of nodes at which parts vanish, or `NONE`.
+} TreeLowerArgs;
+
+// Arguments of `tree_keys`.
+typedef struct {
+    uint has_importances; // 1: nodes have importances; 0: these are 0.
+    uint has_weights; // 1: regions have weights; 0: these are 1.
+    uint in_steps; // 1: with weights of regions, errors count as the next power of two.
+    float guard; // With weights of regions: nodes whose error over weight, without those, is above this one are never merged.
+    uint first_block; // First block of this launch.
+    uint regions; // Number of regions, which are the first blocks.
+    uint first_above; // First node above the regions.
+} TreeKeysArgs;
+
 // Arguments of `tree_histogram`.
 typedef struct {
     uint first_key; // First key of bin 1.

@@ -4,6 +4,7 @@
 #define ISOPEEL_TREE_KEY_H
 
 #include "lib/constants.h"
+#include "lib/precision.h"
 
 // A packed key has KEY_SINGLE beside it; keys are 0 or more. As a number that is ordered as the keys are.
 inline uint key_bits(uint packed) { return packed & ~KEY_SINGLE; }
@@ -11,6 +12,14 @@ inline uint key_bits(uint packed) { return packed & ~KEY_SINGLE; }
 inline uint merged_triangles(uint packed) { return packed & KEY_SINGLE ? 1 : 2; }
 // The lowest number of a key that the tolerance does not allow.
 inline uint end_key(float tolerance) { return tolerance >= 0.0f ? as_uint(fabs(tolerance)) + 1 : 0; }
+// The smallest power of two that is not below a number of 0 or more; 0 for 0. Numbers below the smallest normal one become that one.
+inline float power_above(float x) { return as_float((as_uint(x) + 0x007fffffu) & 0x7f800000u); }
+// Divides an error over weight by a further weight, that of regions. In steps it counts as the power of two above it, so that a slightly
+// different weight rarely changes the cut. Above the guard no tolerance allows it.
+inline float over_region_weight(float error, float weight, uint in_steps, float guard) {
+    if (error > guard) return INFINITY;
+    return exact_quotient(in_steps ? power_above(error) : error, weight);
+}
 inline float key_of(uint packed) { return as_float(key_bits(packed)); }
 
 #endif

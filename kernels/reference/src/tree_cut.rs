@@ -37,6 +37,40 @@ pub struct Cutter<'a> {
     pub removed: &'a BTreeSet<NodeId>,
     /// Whether small parts may vanish. If not, their vanishing nodes are never merged.
     pub may_vanish: bool,
+    /// Weights of regions, beside those of importance.
+    pub weights: Option<&'a Weights>,
+}
+
+/// Weights of regions, and how they count.
+#[derive(Clone, Debug)]
+pub struct Weights {
+    /// Of each region that the surface crosses.
+    pub of_regions: BTreeMap<[u32; 3], f32>,
+    /// Whether errors count as the next power of two.
+    pub in_steps: bool,
+    /// Nodes whose error over the weight of importance alone is above this are never merged.
+    pub guard: f32,
+}
+
+impl Weights {
+    /// The number that is compared with a tolerance. `error`: over the weight of importance; `weight`: of the node.
+    fn key(&self, error: f32, weight: f32) -> f32 {
+        if error > self.guard {
+            return f32::INFINITY;
+        }
+        // The logarithm of a float is exact enough here only because the power is checked.
+        let power_above = |x: f32| {
+            if x <= 0.0 {
+                return 0.0;
+            }
+            let mut power = 2f32.powi((x.log2().ceil() as i32 - 1).max(-126));
+            while power < x {
+                power *= 2.0;
+            }
+            power
+        };
+        (if self.in_steps { power_above(error) } else { error }) / weight
+    }
 }
 
 /// A cut without faults.
@@ -139,8 +173,14 @@ impl Cutter<'_> {
                 of_nodes[index] = of_nodes[index].max(own);
             }
         }
+        self.make_equal_where_parts_vanish(&mut importances);
+        importances
+    }
+
+    /// Gives the vanishing nodes of a part the number of the topmost one: the part vanishes as a whole.
+    fn make_equal_where_parts_vanish(&self, numbers: &mut OfNodes) {
         let block = self.vanishing_block();
-        if let Some(of_nodes) = importances.get_mut(&block) {
+        if let Some(of_nodes) = numbers.get_mut(&block) {
             // From the top of each chain down.
             for index in (0..of_nodes.len()).rev() {
                 if let Some(parent) = self.node(NodeId { block, index }).parent {
@@ -148,12 +188,28 @@ impl Cutter<'_> {
                 }
             }
         }
-        importances
+    }
+
+    /// Of each node the minimum weight of the regions that its points are in; `None` if regions have no weights.
+    fn node_weights(&self) -> Option<OfNodes> {
+        let weights = self.weights?;
+        let mut of_all: OfNodes = (self.tree.blocks.iter())
+            .map(|(&id, block)| (id, vec![f32::INFINITY; block.nodes.len()]))
+            .collect();
+        for (i, point) in self.mesh.points.iter().enumerate() {
+            for NodeId { block, index } in self.tree.above(i) {
+                let of_nodes = of_all.get_mut(&block).expect("one a block");
+                of_nodes[index] = of_nodes[index].min(weights.of_regions[&point.region]);
+            }
+        }
+        self.make_equal_where_parts_vanish(&mut of_all);
+        Some(of_all)
     }
 
     /// Of each node the tolerance from which on it is merged. Nodes in `marks` never are.
     pub fn keys(&self, importances: Option<&OfNodes>, marks: &BTreeSet<NodeId>) -> OfNodes {
         let mut keys = OfNodes::new();
+        let weights = self.weights.zip(self.node_weights());
         // Parents first: they are in blocks of higher levels, or later in the same block.
         for (&id, block) in self.tree.blocks.iter().rev() {
             let mut of_nodes = vec![f32::INFINITY; block.nodes.len()];
@@ -162,7 +218,9 @@ impl Cutter<'_> {
                 let own = if marks.contains(&NodeId { block: id, index }) {
                     f32::INFINITY
                 } else {
-                    node.error / weight
+                    let error = node.error / weight;
+                    let of_node = weights.as_ref().map(|(of, all)| of.key(error, all[&id][index]));
+                    of_node.unwrap_or(error)
                 };
                 of_nodes[index] = match node.parent {
                     Some(parent) if parent.block == id => own.min(of_nodes[parent.index]),
@@ -286,10 +344,15 @@ impl Cutter<'_> {
     /// none. The tolerance grows only if repairs exceed the budget. Returns `None` if that takes too many cuts.
     /// `importances`: those of [`Self::importances`]; none if all are 0.
     pub fn cut(&self, importances: Option<&OfNodes>, goal: &TreeGoal) -> Option<TreeCut> {
-        // Finite, because keys of nodes in `marks` are infinite.
+        // Finite, because keys of nodes in `marks` are infinite. With weights of regions, the guard is in the keys.
+        let limit = if self.weights.is_some() {
+            f32::MAX
+        } else {
+            goal.max_tolerance.min(f32::MAX)
+        };
         let fit = |keys: &OfNodes| {
             let fitted = goal.tolerance.max(self.fit(keys, goal.max_triangles));
-            fitted.min(goal.max_tolerance.min(f32::MAX))
+            fitted.min(limit)
         };
         let mut marks = self.first_marks();
         let mut keys = self.keys(importances, &marks);

@@ -7,8 +7,10 @@ use isopeel_kernels::expression::{Binary, Comparison, Op};
 use isopeel_kernels::testing::device;
 use isopeel_kernels::{
     ChosenParts, CutParams, DerivedFeature, Engine, Expression, Feature, Grid, Interest, InterestShape, Isovalue,
-    Level, Mesher, Never, PartFilter, Pyramid, RectilinearGrid, Samples, TreeGoal, ValueSet, VectorFeature, Volume,
+    Level, Mesher, Never, PartFilter, Pyramid, RectilinearGrid, RegionWeights, Samples, TreeGoal, ValueSet,
+    VectorFeature, Volume,
 };
+use std::sync::Arc;
 
 const DIMS: [u32; 3] = [36, 5, 4];
 
@@ -199,19 +201,24 @@ fn tree(engine: &Engine, volume: &Volume, pyramid: &Pyramid) {
         min_area: 1e-6,
         chosen: Some(ChosenParts::Hide(vec![None, Some([1.0; 3])])),
     };
+    let weights = RegionWeights {
+        of_regions: (1..).map(|n| n as f32).take(pyramid.active_regions()).collect(),
+        in_steps: true,
+    };
     let cases = [
-        (0.2, u64::MAX, PartFilter::default(), false),
-        (-1.0, tree.full_triangles() / 2, hidden, false),
+        (0.2, u64::MAX, PartFilter::default(), false, None),
+        (-1.0, tree.full_triangles() / 2, hidden, false, None),
         // Leaves of all levels, and parts that vanish.
-        (-1.0, 0, PartFilter::default(), true),
+        (-1.0, 0, PartFilter::default(), true, Some(Arc::new(weights))),
     ];
-    for (tolerance, max_triangles, without, may_vanish) in cases {
+    for (tolerance, max_triangles, without, may_vanish, weights) in cases {
         let goal = TreeGoal {
             tolerance,
             max_triangles,
             max_tolerance: f32::INFINITY,
             without,
             may_vanish,
+            weights,
         };
         let (surface, _) = engine
             .tree_surface(volume, pyramid, &tree, &params, &goal, &Never)

@@ -52,6 +52,8 @@ pub(super) const TREE: Known = Known {
     euler: 1,
     volume: -6874.155,
 };
+/// Triangles of the tree's cut with weights of regions.
+pub(super) const WEIGHTED_TRIANGLES: u64 = 1213;
 /// Nodes of this cut that move.
 pub(super) const TREE_MOVED: u64 = 473;
 /// The full surface by marching cubes.

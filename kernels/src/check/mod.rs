@@ -7,9 +7,11 @@
 use crate::expression::{Binary, Comparison, Expression, Op};
 use crate::{
     CurvePoint, Cut, CutParams, DerivedFeature, DistanceOf, Engine, Error, Feature, Interest, InterestShape, Isovalue,
-    Level, MAX_BINS, Mesher, Never, OverviewMode, OverviewWork, PartFilter, Pyramid, RectilinearGrid, SampleType,
-    ShownCut, Surface, TreeGoal, ValueSet, VertexTree, Volume,
+    Level, MAX_BINS, Mesher, Never, OverviewMode, OverviewWork, PartFilter, Pyramid, RectilinearGrid, RegionWeights,
+    SampleType, ShownCut, Surface, TreeGoal, ValueSet, VertexTree, Volume,
 };
+
+use std::sync::Arc;
 
 mod answers;
 mod volume;
@@ -284,7 +286,33 @@ impl<'a> Check<'a> {
         TREE.check_nearly(&surface.0)?;
         let built = (self.volume(), self.pyramid(), self.built_tree());
         let moved = self.engine.moved_nodes(built, &tree_params(), &tree_goal())?;
-        nearly("number of nodes that move", moved, TREE_MOVED)
+        nearly("number of nodes that move", moved, TREE_MOVED)?;
+        // The further a region is along the volume, the coarser it is.
+        let weights = RegionWeights {
+            of_regions: (0..self.pyramid().active_regions())
+                .map(|n| 4f32.powi(n as i32))
+                .collect(),
+            in_steps: true,
+        };
+        let goal = TreeGoal {
+            tolerance: 0.25,
+            max_triangles: u64::MAX,
+            weights: Some(Arc::new(weights)),
+            ..tree_goal()
+        };
+        let (surface, _) = self.engine.tree_surface(
+            self.volume(),
+            self.pyramid(),
+            self.built_tree(),
+            &tree_params(),
+            &goal,
+            &Never,
+        )?;
+        nearly(
+            "triangles of a weighted cut",
+            surface.statistics.triangles,
+            WEIGHTED_TRIANGLES,
+        )
     }
 
     fn error(&mut self) -> Result<(), Finding> {
@@ -529,5 +557,6 @@ fn tree_goal() -> TreeGoal {
             chosen: None,
         },
         may_vanish: false,
+        weights: None,
     }
 }

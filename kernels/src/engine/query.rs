@@ -1,6 +1,7 @@
 //! Queries on the current surface: slices, probes, distributions and error curves. No mesh is made.
 
 use super::fit::{ERROR_KEYS, IMPORTANCE_KEYS};
+use crate::buffer::Buffer;
 use crate::layout::ProbedCell;
 use crate::lock::lock;
 use crate::stages::cut::{self, Criterion};
@@ -315,27 +316,46 @@ impl Engine {
     ) -> Result<Vec<CurvePoint>> {
         let cuts = match cut {
             ShownCut::Cubes(cut) => self.cube_cuts(volume, pyramid, params, cut, cancel)?,
-            ShownCut::Tree(tree, cut) => self.tree_cuts(volume, pyramid, params, tree, cut)?,
+            ShownCut::Tree(tree, cut) => {
+                let cutter = Cutter {
+                    left_out: cut.left_out.clone(),
+                    ..self.cutter(volume, pyramid, tree, params)
+                };
+                self.tree_cuts(&cutter, params, &cut.keys)?
+            }
         };
         Ok(thinned(&cuts))
     }
 
-    /// The cuts at the end of each bin of keys, the full surface first.
-    fn tree_cuts(
+    /// Returns how the estimated error of cuts of a tree grows with the tolerance, if all weights are 1. Computed once a tree.
+    ///
+    /// # Errors
+    /// An error of the device.
+    pub fn uniform_curve<'a>(
         &self,
         volume: &Volume,
         pyramid: &Pyramid,
+        tree: &'a VertexTree,
         params: &CutParams,
-        tree: &VertexTree,
-        cut: &TreeCut,
-    ) -> Result<Vec<CurvePoint>> {
-        let cutter = Cutter {
-            left_out: cut.left_out.clone(),
-            ..self.cutter(volume, pyramid, tree, params)
-        };
+    ) -> Result<&'a [CurvePoint]> {
+        if let Some(curve) = tree.uniform_curve.get() {
+            return Ok(curve);
+        }
+        let cutter = self.cutter(volume, pyramid, tree, params);
+        let work = cutter.begin()?;
+        cutter.keys(None, &work)?;
+        let curve = self.tree_cuts(&cutter, params, &work.keys)?;
+        Ok(tree.uniform_curve.get_or_init(|| thinned(&curve)))
+    }
+
+    /// The cuts at the end of each bin of keys, the full surface first.
+    fn tree_cuts(&self, cutter: &Cutter<'_>, params: &CutParams, keys: &Buffer<u32>) -> Result<Vec<CurvePoint>> {
+        let Cutter {
+            volume, pyramid, tree, ..
+        } = *cutter;
         let layout = cut::layout(params, Level::FINEST);
-        let removed = cutter.histogram(&cut.keys, ERROR_KEYS)?;
-        let changes = curve::of_tree(&self.cx, volume, pyramid, layout, tree, ERROR_KEYS, &cut.keys)?;
+        let removed = cutter.histogram(keys, ERROR_KEYS)?;
+        let changes = curve::of_tree(&self.cx, volume, pyramid, layout, tree, ERROR_KEYS, keys)?;
         let full = cutter.full_triangles();
         let (mut triangles, mut error2) = (full, 0.0);
         let bins = removed.iter().zip(&changes).take(INNER_BINS + 1).enumerate();

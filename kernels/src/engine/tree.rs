@@ -113,6 +113,7 @@ impl Engine {
             full_triangles: triangle_count as u64,
             isolated_points,
             parts: Default::default(),
+            uniform_curve: Default::default(),
             left_out: Default::default(),
             last_cut: Default::default(),
             importances: Default::default(),

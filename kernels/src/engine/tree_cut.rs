@@ -147,10 +147,12 @@ impl Engine {
             tree,
             left_out: None,
             may_vanish: false,
+            weights: None,
         }
     }
 
-    /// Returns a cutter for a goal: it leaves out the parts that the goal removes, and lets small parts vanish if the goal allows that.
+    /// Returns a cutter for a goal: it leaves out the parts that the goal removes, lets small parts vanish if the goal allows that, and has the
+    /// goal's weights.
     pub(super) fn cutter_for<'a>(
         &'a self,
         volume: &'a Volume,
@@ -162,8 +164,13 @@ impl Engine {
     ) -> Result<Cutter<'a>> {
         let cutter = self.cutter(volume, pyramid, tree, params);
         let left_out = left_out(&cutter, params, &goal.without, cancel)?;
+        let weights = match &goal.weights {
+            Some(weights) => Some(cutter.upload_weights(weights, goal.max_tolerance)?),
+            None => None,
+        };
         Ok(Cutter {
             left_out,
+            weights,
             may_vanish: goal.may_vanish,
             ..cutter
         })
@@ -179,7 +186,7 @@ impl Engine {
     ) -> Result<(CutWork, f32)> {
         params.check()?;
         let importances = cutter.importances(params)?;
-        let limit = goal.max_tolerance.min(f32::MAX);
+        let limit = goal.limit();
         let (work, tolerance, first) = self.repaired_cut(cutter, importances.as_deref(), goal, limit, cancel)?;
         let has_budget = cutter.full_triangles() > goal.max_triangles;
         if !has_budget || first >= limit || cutter.triangles(&work)? <= goal.max_triangles {

@@ -48,7 +48,7 @@ impl Engine {
         let cutter = self.cutter_for(volume, pyramid, tree, params, goal, cancel)?;
         let (mut work, mut tolerance) = self.cut_tree(&cutter, params, goal, cancel)?;
         let importances = cutter.importances(params)?;
-        let limit = goal.max_tolerance.min(f32::MAX);
+        let limit = goal.limit();
         let mut cost = RefinementCost {
             triangles: cutter.triangles(&work)?,
             rounds: 0,

@@ -7,7 +7,7 @@ use crate::layout::{CutParams, NONE, RegionMesh, TreeCutRegion};
 use crate::lock::lock;
 use crate::stages::cut::Criterion;
 use crate::stages::fit::Keys;
-use crate::tree::{Importances, LeftOut, VertexTree};
+use crate::tree::{Importances, LeftOut, RegionWeights, VertexTree};
 use crate::{Level, Pyramid, Result, Volume, constants};
 use std::ops::Range;
 use std::sync::Arc;
@@ -26,6 +26,34 @@ kernel_args! {
         regions: u32,
         /// Number of the block of nodes at which parts vanish, or `NONE`.
         vanishing: u32,
+    }
+    /// Arguments of `tree_lower`.
+    TreeLowerArgs {
+        /// First block of this launch.
+        first_block: u32,
+        /// Number of regions, which are the first blocks.
+        regions: u32,
+        /// First node above the regions.
+        first_above: u32,
+        /// Number of the block of nodes at which parts vanish, or `NONE`.
+        vanishing: u32,
+    }
+    /// Arguments of `tree_keys`.
+    TreeKeysArgs {
+        /// 1: nodes have importances; 0: these are 0.
+        has_importances: u32,
+        /// 1: regions have weights; 0: these are 1.
+        has_weights: u32,
+        /// 1: with weights of regions, errors count as the next power of two.
+        in_steps: u32,
+        /// With weights of regions: nodes whose error over weight, without those, is above this one are never merged.
+        guard: f32,
+        /// First block of this launch.
+        first_block: u32,
+        /// Number of regions, which are the first blocks.
+        regions: u32,
+        /// First node above the regions.
+        first_above: u32,
     }
     /// Arguments of `tree_histogram`.
     TreeHistogramArgs {
@@ -71,6 +99,19 @@ pub struct Cutter<'a> {
     pub left_out: Option<Arc<LeftOut>>,
     /// Whether small parts may vanish.
     pub may_vanish: bool,
+    /// Weights beside those of importance.
+    pub weights: Option<CutWeights>,
+}
+
+/// Weights of regions and of the nodes above them, on the device.
+pub struct CutWeights {
+    pub of_regions: Buffer<f32>,
+    /// Of each node above the regions the minimum of its points' regions, as bits.
+    pub of_nodes: Buffer<u32>,
+    /// Whether errors count as the next power of two.
+    pub in_steps: bool,
+    /// See [`TreeKeysArgs::guard`].
+    pub guard: f32,
 }
 
 /// State of a cut that is repeated until its topology is that of the full mesh.
@@ -203,6 +244,46 @@ impl Cutter<'_> {
         Ok(importances)
     }
 
+    /// Puts weights of regions on the device.
+    pub fn upload_weights(&self, weights: &RegionWeights, guard: f32) -> Result<CutWeights> {
+        let of_regions = self.cx.upload(STAGE, &weights.of_regions)?;
+        let above = self.tree.built.nodes.len() - self.first_above() as usize;
+        let of_nodes = self.cx.filled(STAGE, above, f32::INFINITY.to_bits())?;
+        for blocks in self.levels() {
+            let args = TreeLowerArgs {
+                first_block: blocks.start as u32,
+                regions: self.regions() as u32,
+                first_above: self.first_above(),
+                vanishing: self.tree.vanishing.map_or(NONE, |block| block as u32),
+            };
+            self.launch_level(
+                "tree_lower",
+                blocks,
+                &[
+                    &args,
+                    &self.pyramid.regions,
+                    &self.tree.built.regions,
+                    &self.tree.built.node_parents,
+                    &self.tree.built.round_ends,
+                    &self.tree.built.point_parents,
+                    &of_regions,
+                    &of_nodes,
+                ],
+            )?;
+        }
+        Ok(CutWeights {
+            of_regions,
+            of_nodes,
+            in_steps: weights.in_steps,
+            guard,
+        })
+    }
+
+    /// The first node above the regions.
+    fn first_above(&self) -> u32 {
+        self.tree.first_above() - self.tree.point_count()
+    }
+
     /// Triangles of the full dual mesh, without the parts that cuts leave out.
     pub fn full_triangles(&self) -> u64 {
         self.tree.full_triangles - self.left_out.as_ref().map_or(0, |left_out| left_out.triangles)
@@ -261,21 +342,36 @@ impl Cutter<'_> {
 
     /// Fills in each node's key.
     pub fn keys(&self, importances: Option<&Buffer<u32>>, work: &CutWork) -> Result<()> {
-        let weighted = u32::from(importances.is_some());
+        let has_importances = u32::from(importances.is_some());
+        // What is not read may be any buffer.
         let importances = importances.unwrap_or(&self.tree.built.point_parents);
+        let (of_regions, of_nodes): (&dyn Arg, &dyn Arg) = match &self.weights {
+            Some(weights) => (&weights.of_regions, &weights.of_nodes),
+            None => (&self.tree.built.point_parents, &self.tree.built.point_parents),
+        };
         // Keys depend on those of the nodes above.
         for blocks in self.levels().iter().rev() {
+            let args = TreeKeysArgs {
+                has_importances,
+                has_weights: self.weights.is_some().into(),
+                in_steps: self.weights.as_ref().is_some_and(|weights| weights.in_steps).into(),
+                guard: self.weights.as_ref().map_or(f32::INFINITY, |weights| weights.guard),
+                first_block: blocks.start as u32,
+                regions: self.regions() as u32,
+                first_above: self.first_above(),
+            };
             self.launch_level(
                 "tree_keys",
                 blocks,
                 &[
-                    &weighted,
-                    &(blocks.start as u32),
+                    &args,
                     &self.tree.built.regions,
                     &self.tree.built.node_errors,
                     &self.tree.built.node_parents,
                     &self.tree.built.round_ends,
                     importances,
+                    of_regions,
+                    of_nodes,
                     &work.marks,
                     &work.marked,
                     &work.renewed,

@@ -18,7 +18,7 @@ use tokio_tungstenite::tungstenite::{self, Bytes, Message, Utf8Bytes};
 use crate::error::{Error, ensure};
 
 /// Subprotocol of the handshake.
-pub const SUBPROTOCOL: &str = "isopeel.v2";
+pub const SUBPROTOCOL: &str = "isopeel.v3";
 
 /// Header of the handshake that names the subprotocol.
 const SUBPROTOCOL_HEADER: &str = "sec-websocket-protocol";

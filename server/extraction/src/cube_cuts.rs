@@ -51,6 +51,7 @@ impl OnDevice<'_> {
             topology: params.topology,
             triangles: budget,
             is_tree_cut: false,
+            pixels: None,
         });
         Ok((params, cut))
     }

@@ -6,9 +6,9 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use isopeel_kernels::Isovalue;
 use isopeel_view::quality::{
-    Budget, Distance, Fitted, MaxError, MesherName, ShareBudget, TopologyName, TriangleBudget,
+    Budget, Distance, ErrorLimit, Fitted, MaxError, MesherName, ShareBudget, TopologyName, TriangleBudget,
 };
-use isopeel_view::{ChosenPartsJson, FeatureName, InterestJson, TransferFunctionJson, View};
+use isopeel_view::{CameraJson, ChosenPartsJson, FeatureName, InterestJson, TransferFunctionJson, View};
 use isopeel_volumes::VolumeStep;
 
 use super::keys::VolumeKey;
@@ -143,7 +143,7 @@ enum CriterionKey {
     /// Importance up to which cubes are merged.
     Beta(u32),
     Error {
-        error: Option<DistanceKey>,
+        error: Option<ErrorKey>,
         budget: Option<BudgetKey>,
     },
 }
@@ -152,6 +152,12 @@ enum CriterionKey {
 enum DistanceKey {
     World(u32),
     Spacings(u32),
+}
+
+#[derive(Debug, PartialEq, Eq, Hash)]
+enum ErrorKey {
+    Distance(DistanceKey),
+    Pixels(u32),
 }
 
 #[derive(Debug, PartialEq, Eq, Hash)]
@@ -176,6 +182,14 @@ struct InterestKey {
     importance: u32,
 }
 
+/// A camera, with its numbers as bits. `None` of a pair: the other one of field of view and height is given.
+#[derive(Debug, PartialEq, Eq, Hash)]
+struct CameraKey {
+    vectors: [[u64; 3]; 3],
+    projection: [Option<u64>; 2],
+    viewport: [u32; 2],
+}
+
 /// Identity of a resolved view: its full surface, and everything that decides how much each part of that surface is decimated. Colours
 /// are not part of the key, because they belong to clients.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
@@ -193,6 +207,8 @@ struct ViewParts {
     /// Position and importance of each control point.
     transfer: Vec<[u32; 2]>,
     interest: Vec<InterestKey>,
+    /// The camera in force.
+    camera: Option<CameraKey>,
 }
 
 impl ViewKey {
@@ -212,6 +228,7 @@ impl ViewKey {
             alpha: bits(view.alpha),
             transfer: transfer_key(&view.transfer_function),
             interest: view.interest.iter().map(InterestKey::of).collect(),
+            camera: view.camera_in_force().map(CameraKey::of),
         }))
     }
 
@@ -248,7 +265,10 @@ impl CriterionKey {
             return Self::Beta(bits(view.beta));
         }
         Self::Error {
-            error: view.error.map(DistanceKey::from),
+            error: view.error.map(|error| match error {
+                ErrorLimit::Distance(distance) => ErrorKey::Distance(distance.into()),
+                ErrorLimit::Pixels(pixels) => ErrorKey::Pixels(bits(pixels)),
+            }),
             budget: view.budget.map(BudgetKey::from),
         }
     }
@@ -272,6 +292,16 @@ impl From<Budget> for BudgetKey {
                 max,
             },
             Budget::Bytes(bytes) => Self::Bytes(bytes),
+        }
+    }
+}
+
+impl CameraKey {
+    fn of(camera: &CameraJson) -> Self {
+        Self {
+            vectors: [camera.position, camera.target, camera.up].map(|vector| vector.map(long_bits)),
+            projection: [camera.fov, camera.height].map(|number| number.map(long_bits)),
+            viewport: camera.viewport,
         }
     }
 }
@@ -386,6 +416,14 @@ mod tests {
             r#"{"iso":1,"interest":[{"sphere":{"center":[1,2,3],"radius":4},"importance":1}]}"#,
             r#"{"iso":1,"interest":[{"sphere":{"center":[1,2,3],"radius":5},"importance":1}]}"#,
             r#"{"iso":1,"interest":[{"box":{"min":[1,2,3],"max":[4,5,6]},"importance":1}]}"#,
+            r#"{"iso":1,"error":"0.5px"}"#,
+            r#"{"iso":1,"error":0.5,"camera":{"position":[1,2,3],"target":[4,5,6],"fov":30,"viewport":[7,8]}}"#,
+            r#"{"iso":1,"error":0.5,"camera":{"position":[1,2,4],"target":[4,5,6],"fov":30,"viewport":[7,8]}}"#,
+            r#"{"iso":1,"error":0.5,"camera":{"position":[1,2,3],"target":[4,5,7],"fov":30,"viewport":[7,8]}}"#,
+            r#"{"iso":1,"error":0.5,"camera":{"position":[1,2,3],"target":[4,5,6],"up":[0,1,0],"fov":30,"viewport":[7,8]}}"#,
+            r#"{"iso":1,"error":0.5,"camera":{"position":[1,2,3],"target":[4,5,6],"fov":31,"viewport":[7,8]}}"#,
+            r#"{"iso":1,"error":0.5,"camera":{"position":[1,2,3],"target":[4,5,6],"height":30,"viewport":[7,8]}}"#,
+            r#"{"iso":1,"error":0.5,"camera":{"position":[1,2,3],"target":[4,5,6],"fov":30,"viewport":[7,9]}}"#,
         ];
         for (i, one) in edits.iter().enumerate() {
             assert_eq!(key(one), key(one));
@@ -399,6 +437,13 @@ mod tests {
         assert_eq!(key(&coloured("#000000")), key(&coloured("#123456")));
         assert_eq!(key(r#"{"iso":0}"#), key(r#"{"iso":-0.0}"#), "zero has one sign");
         // Values without influence are not part of the key.
+        let seen = |edit: &str| {
+            let camera = r#""camera":{"position":[1,2,3],"target":[4,5,6],"fov":30,"viewport":[7,8]}"#;
+            format!("{},{camera}}}", edit.trim_end_matches('}'))
+        };
+        for edit in [r#"{"iso":1,"beta":0.5}"#, r#"{"iso":1,"error":0.5,"detail":"uniform"}"#] {
+            assert_eq!(key(edit), key(&seen(edit)), "{edit}");
+        }
         assert_eq!(
             key(r#"{"iso":1,"error":0.5}"#),
             ViewKey::new(

@@ -29,6 +29,7 @@
 
 mod ahead;
 mod byte_search;
+mod camera;
 mod chunk_bytes;
 mod complete;
 mod computed;

@@ -6,7 +6,7 @@ use std::time::Duration;
 use isopeel_kernels::{ErrorEstimate, SurfaceError, Topology};
 use serde::{Deserialize, Serialize};
 
-use isopeel_view::quality::{GuardName, MesherName, TopologyName};
+use isopeel_view::quality::{GuardName, MesherName, PixelError, TopologyName};
 use isopeel_view::{FeatureName, Outward, View};
 
 /// Tolerance that is stated for a surface in which nothing was merged: below any error.
@@ -130,6 +130,8 @@ pub struct ExtractionStatistics {
     pub error: Option<MeasuredError>,
     /// The same distance as the leaves' quadrics estimate it. Null: not known.
     pub estimated_error: Option<EstimatedError>,
+    /// Error in the picture of the camera that the surface was made for. Null: it was made for no camera, or is a cut of the octree.
+    pub pixels: Option<PixelError>,
     /// Triangles of the undecimated marching-cubes surface, without removed parts.
     pub full_triangles: u64,
     /// Triangles of the undecimated surface by the mesher of this one, without removed parts. Null: not counted.
@@ -194,7 +196,7 @@ impl ExtractionStatistics {
     ///
     /// - Counts and times are sums. Measured error, tolerance and bytes are maxima.
     /// - Guards that gave way and notices are those of any surface.
-    /// - `is_tree_cut` is true only if all surfaces are tree cuts. Several surfaces have no estimated error.
+    /// - `is_tree_cut` is true only if all surfaces are tree cuts. Several surfaces have no estimated errors.
     /// - All other values are those of the first surface.
     pub fn of_several(surfaces: Vec<Self>) -> Self {
         let mut surfaces = surfaces.into_iter();
@@ -223,7 +225,7 @@ impl ExtractionStatistics {
             rms: a.rms.max(b.rms),
             max: a.max.max(b.max),
         });
-        self.estimated_error = None;
+        (self.estimated_error, self.pixels) = (None, None);
         self.full_triangles += next.full_triangles;
         self.mesher_triangles = self.mesher_triangles.zip(next.mesher_triangles).map(|(a, b)| a + b);
         self.active_cells += next.active_cells;
@@ -281,6 +283,7 @@ impl ExtractionStatistics {
             is_tree_cut,
             error: kernels.error.and_then(|error| MeasuredError::in_world(error, smallest)),
             estimated_error: Some(EstimatedError::in_world(kernels.estimate, smallest)),
+            pixels: view.fitted.and_then(|fitted| fitted.pixels),
             full_triangles: kernels.full_triangles,
             mesher_triangles: kernels.mesher_triangles,
             removed_parts: kernels.removed.map(|removed| removed.parts),

@@ -8,9 +8,10 @@ use isopeel_kernels::{
     VertexTree, lock,
 };
 use isopeel_view::View;
-use isopeel_view::quality::{Fitted, MaxError, TopologyName};
+use isopeel_view::quality::{ErrorLimit, Fitted, MaxError, PixelError, TopologyName};
 use isopeel_volumes::VolumeStep;
 
+use super::camera::{CameraTolerances, ErrorCurve, SeenSurface};
 use super::context::JobContext;
 use super::decisions::{Decided, TreeCut, milder_refusal};
 use super::intersections::{CapFaces, intersecting_vertices};
@@ -36,6 +37,28 @@ fn is_free(view: &View) -> bool {
 fn has_given_way(view: &View) -> bool {
     let gave_way = |fitted: Fitted| fitted.is_tree_cut && fitted.topology == Topology::Free;
     view.fitted.is_some_and(gave_way) && !view.removes_parts()
+}
+
+/// The regions of a surface as a view's camera sees them, with what that means for a cut.
+struct Seen {
+    surface: SeenSurface,
+    curve: ErrorCurve,
+    tolerances: CameraTolerances,
+}
+
+impl Seen {
+    /// States the error of a cut in the picture.
+    fn error_of(&self, tolerance: f32, surface: &Surface, tree: &VertexTree) -> PixelError {
+        let statistics = &surface.statistics;
+        let is_full = statistics.mesher_triangles == Some(statistics.triangles);
+        let guard = self.tolerances.guard;
+        PixelError {
+            rms: self
+                .surface
+                .pixel_rms(tolerance, guard, tree.region_areas(), &self.curve),
+            limited_by: self.surface.limit(tolerance, self.tolerances, is_full),
+        }
+    }
 }
 
 impl Workspace {
@@ -115,6 +138,38 @@ impl OnDevice<'_> {
         }
     }
 
+    /// Returns the regions as the view's camera sees them; `None` if no camera is in force.
+    fn seen(&self, view: &View, tree: &VertexTree, params: &CutParams) -> Result<Option<Seen>, JobError> {
+        let seen_by = |camera| {
+            let (coords, dims) = (self.pyramid.region_coords(), self.volume.grid().dims);
+            SeenSurface::new(camera, coords, dims, &self.index_space, self.smallest)
+        };
+        let Some(surface) = view.camera_in_force().and_then(seen_by) else {
+            return Ok(None);
+        };
+        let curve = self.engine.uniform_curve(self.volume, self.pyramid, tree, params)?;
+        let curve = ErrorCurve::new(curve);
+        let pixels = match view.error {
+            Some(ErrorLimit::Pixels(pixels)) => Some(pixels),
+            Some(ErrorLimit::Distance(_)) | None => None,
+        };
+        let asked = match (pixels, view.error) {
+            (Some(pixels), _) => surface.tolerance(pixels, &curve),
+            (None, Some(error)) => error.in_spacings(self.smallest),
+            (None, None) => f32::NEG_INFINITY,
+        };
+        let tolerances = CameraTolerances {
+            asked,
+            seen: surface.seen_tolerance(pixels, &curve),
+            guard: self.error_guard(view),
+        };
+        Ok(Some(Seen {
+            surface,
+            curve,
+            tolerances,
+        }))
+    }
+
     /// Returns the limits of a view's error and budget for cutting the tree. A budget that is a share is a share of the full surface
     /// without removed parts.
     pub(crate) fn tree_goal(
@@ -122,6 +177,19 @@ impl OnDevice<'_> {
         view: &View,
         tree: &Arc<VertexTree>,
         params: &CutParams,
+        cancel: &dyn Cancel,
+    ) -> Result<TreeGoal, JobError> {
+        let seen = self.seen(view, tree, params)?;
+        self.tree_goal_of(view, tree, params, seen.as_ref(), cancel)
+    }
+
+    /// As [`OnDevice::tree_goal`], with the regions as the camera sees them.
+    fn tree_goal_of(
+        &self,
+        view: &View,
+        tree: &Arc<VertexTree>,
+        params: &CutParams,
+        seen: Option<&Seen>,
         cancel: &dyn Cancel,
     ) -> Result<TreeGoal, JobError> {
         let mut full = self.pyramid.full_triangles();
@@ -134,13 +202,16 @@ impl OnDevice<'_> {
             self.cache_tree(tree);
         }
         Ok(TreeGoal {
-            tolerance: view
-                .error
-                .map_or(f32::NEG_INFINITY, |error| error.in_spacings(self.smallest)),
+            tolerance: match (seen, view.error) {
+                (Some(seen), _) => seen.tolerances.asked.max(seen.tolerances.seen),
+                (None, Some(error)) => error.in_spacings(self.smallest),
+                (None, None) => f32::NEG_INFINITY,
+            },
             max_triangles: view.max_triangles(full).unwrap_or(u64::MAX),
             max_tolerance: self.error_guard(view),
             without,
             may_vanish: is_free(view) || has_given_way(view),
+            weights: seen.map(|seen| seen.surface.weights()),
         })
     }
 
@@ -190,9 +261,10 @@ impl OnDevice<'_> {
         let Some(tree) = self.tree(view, &params, cancel)? else {
             return Ok(TreeCut::NoTree);
         };
+        let seen = self.seen(view, &tree, &params)?;
         let goal = TreeGoal {
             may_vanish: is_free(view),
-            ..self.tree_goal(view, &tree, &params, cancel)?
+            ..self.tree_goal_of(view, &tree, &params, seen.as_ref(), cancel)?
         };
         let (surface, tolerance, may_vanish) = self.cut_to_budget(view, &tree, &params, goal.clone(), cancel)?;
         let triangles = surface.statistics.triangles;
@@ -215,6 +287,7 @@ impl OnDevice<'_> {
             topology: if may_vanish { Topology::Free } else { Topology::Preserve },
             triangles: goal.max_triangles,
             is_tree_cut: true,
+            pixels: seen.map(|seen| seen.error_of(tolerance, &surface, &tree)),
         });
         Ok(TreeCut::Made(self.with_all_stages(surface)))
     }

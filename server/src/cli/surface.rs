@@ -5,14 +5,19 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use isopeel_kernels::MAX_LEVEL;
-use isopeel_view::quality::{Distance, MaxError, MesherName, TopologyName, TriangleBudget};
-use isopeel_view::{ChosenPartsJson, Edit, InterestJson, Outward, TransferFunctionJson, arguments, parse_position};
+use isopeel_view::quality::{ErrorLimit, MaxError, MesherName, TopologyName, TriangleBudget};
+use isopeel_view::{
+    CameraJson, ChosenPartsJson, Detail, Edit, InterestJson, Outward, TransferFunctionJson, arguments, parse_position,
+};
 
 use crate::bounded_read::read_bounded;
 use crate::export::{Compress, FileOptions, FileRequest, Format, SurfaceOptions};
 
 /// Maximum bytes of the file of a transfer function. 64 points take about 4 KiB.
 const MAX_TRANSFER_FUNCTION_BYTES: usize = 1 << 20;
+
+/// Vertical field of view of a camera, in degrees: that of the viewer.
+const DEFAULT_FOV: f64 = 32.0;
 
 /// Options of a surface and of its file. What is left out has the default of all exports.
 #[derive(Clone, Debug, Default, clap::Args)]
@@ -61,10 +66,37 @@ pub struct SurfaceArgs {
     #[arg(long, value_name = "B", allow_negative_numbers = true, conflicts_with_all = ["error", "triangles", "bytes"])]
     pub(super) beta: Option<f32>,
 
-    /// Error up to which parts are merged, instead of --beta, in world units or as multiples of the smallest spacing
-    /// (0.1vx). It counts over a weight, which is 1 where importance is 0 and falls as importance grows
+    /// Error up to which parts are merged, instead of --beta, in world units, as multiples of the smallest spacing (0.1vx), or in pixels of the
+    /// picture of --camera (1px). It counts over a weight, which is 1 where importance is 0 and falls as importance grows
     #[arg(long, value_name = "E", allow_hyphen_values = true)]
-    error: Option<Distance>,
+    error: Option<ErrorLimit>,
+
+    /// Camera for which the surface is made: what it sees from near is finer. World coordinates of its position, of the place that it looks at,
+    /// and of the direction that is up if that is not z: PX,PY,PZ,TX,TY,TZ[,UX,UY,UZ]. With --error, --triangles or --bytes
+    #[arg(
+        long,
+        value_name = "NUMBERS",
+        allow_hyphen_values = true,
+        requires = "viewport",
+        conflicts_with = "beta"
+    )]
+    camera: Option<CameraJson>,
+
+    /// Width and height of the camera's picture, in pixels
+    #[arg(long, value_name = "WxH", requires = "camera", value_parser = parse_viewport)]
+    viewport: Option<[u32; 2]>,
+
+    /// Vertical field of view of the camera, in degrees [default: 32]
+    #[arg(long, value_name = "DEGREES", requires = "camera", conflicts_with = "view_height")]
+    fov: Option<f64>,
+
+    /// Height of the camera's picture in world units; then its rays are parallel
+    #[arg(long, value_name = "H", requires = "camera")]
+    view_height: Option<f64>,
+
+    /// Whether what the camera sees from near is finer [default: view]
+    #[arg(long, value_name = "DETAIL")]
+    detail: Option<Detail>,
 
     /// Maximum triangles, a number or a share of the full surface (25%), instead of --beta: the smallest error that keeps
     /// it is found (`tolerance` in --stats). With --error the greater of both decides
@@ -206,6 +238,8 @@ impl SurfaceArgs {
             max_level: self.max_level,
             transfer_function: transfer_function.transpose()?,
             interest: Some(self.interest.clone()),
+            detail: self.detail,
+            camera: self.camera(),
         };
         let options = FileOptions {
             format,
@@ -223,6 +257,17 @@ impl SurfaceArgs {
         Ok(FileRequest { step, options, edit })
     }
 
+    /// Returns the camera, with its projection and viewport.
+    fn camera(&self) -> Option<CameraJson> {
+        let fov = self.fov.or_else(|| self.view_height.is_none().then_some(DEFAULT_FOV));
+        Some(CameraJson {
+            fov,
+            height: self.view_height,
+            viewport: self.viewport?,
+            ..self.camera.clone()?
+        })
+    }
+
     /// Returns the paths of the other volumes that `--surface` names.
     pub(super) fn other_volumes(&self) -> impl Iterator<Item = &str> {
         self.surfaces
@@ -236,6 +281,14 @@ impl SurfaceArgs {
         let hide = non_empty(&self.hide_part).map(ChosenPartsJson::Hide);
         hide.or_else(|| non_empty(&self.keep_part).map(ChosenPartsJson::Keep))
     }
+}
+
+fn parse_viewport(text: &str) -> Result<[u32; 2], String> {
+    let sides = text.split_once('x').and_then(|(width, height)| {
+        let [width, height] = [width, height].map(|side| side.trim().parse().ok().filter(|&pixels| pixels > 0));
+        Some([width?, height?])
+    });
+    sides.ok_or_else(|| format!("{text:?}, expected pixels as 1280x720"))
 }
 
 fn parse_surface(text: &str) -> Result<SurfaceOptions, serde_json::Error> {

@@ -179,7 +179,7 @@ impl ApiState {
     info(
         title = "isopeel",
         description = "Isosurfaces, decimated by importance before they are made. Live viewing goes over the WebSocket at \
-                       /api/v1/stream, subprotocol isopeel.v2, specified in PROTOCOL.md. Every error answer is an \
+                       /api/v1/stream, subprotocol isopeel.v3, specified in PROTOCOL.md. Every error answer is an \
                        application/problem+json document.",
         license(name = "MIT OR Apache-2.0", identifier = "MIT OR Apache-2.0"),
     ),

@@ -19,7 +19,7 @@ pub(super) use first_steps::FirstStep;
 use first_steps::FirstSteps;
 #[cfg(test)]
 pub(super) use first_steps::LONGEST_WAIT;
-use isopeel_view::View;
+use isopeel_view::{CameraJson, View};
 use isopeel_volumes::VolumeStep;
 use leader::LEADER_TIMEOUT;
 pub(super) use leader::Leader;
@@ -87,6 +87,8 @@ struct Group {
     connection: Mutex<CancellationToken>,
     scene: watch::Sender<Option<Arc<Scene>>>,
     pose: watch::Sender<Option<Arc<Pose>>>,
+    /// Camera for which the surfaces are made.
+    camera: watch::Sender<Option<CameraJson>>,
     members: watch::Sender<Members>,
     first_steps: FirstSteps,
     expires: Instant,
@@ -156,6 +158,7 @@ impl GroupError {
 pub(super) enum GroupEvent {
     Scene,
     Pose(Arc<Pose>),
+    Camera,
     Members,
     /// Why the group has ended.
     Ended(&'static str),
@@ -173,8 +176,10 @@ pub(super) struct Member {
     number: u32,
     scene: watch::Receiver<Option<Arc<Scene>>>,
     pose: watch::Receiver<Option<Arc<Pose>>>,
+    camera: watch::Receiver<Option<CameraJson>>,
     members: watch::Receiver<Members>,
     pose_due: Instant,
+    camera_due: Instant,
     members_due: Instant,
 }
 
@@ -205,6 +210,7 @@ impl Groups {
             connection: Mutex::new(connection.clone()),
             scene: watch::Sender::new(None),
             pose: watch::Sender::new(None),
+            camera: watch::Sender::new(None),
             members: watch::Sender::new(Members::default()),
             first_steps: FirstSteps::default(),
             expires: Instant::now() + MAX_AGE,
@@ -282,10 +288,12 @@ impl Member {
             number,
             scene,
             pose,
+            camera: group.camera.subscribe(),
             members,
             group,
             groups,
             pose_due: Instant::now(),
+            camera_due: Instant::now(),
             members_due: Instant::now(),
         }
     }
@@ -314,13 +322,39 @@ impl Member {
             () = sleep_until(self.group.expires) => GroupEvent::Ended("it is 12 hours old"),
             Ok(()) = self.scene.changed(), if is_following => GroupEvent::Scene,
             Ok(()) = changed_after(self.pose_due, &mut self.pose), if is_following => {
-                self.pose_due = Instant::now() + POSE_INTERVAL.max(POSE_INTERVAL_PER_FOLLOWER * self.follower_count());
+                self.pose_due = Instant::now() + self.pose_interval();
                 GroupEvent::Pose(self.pose.borrow_and_update().clone().unwrap_or_default())
+            }
+            Ok(()) = changed_after(self.camera_due, &mut self.camera), if is_following => {
+                self.camera_due = Instant::now() + self.pose_interval();
+                GroupEvent::Camera
             }
             Ok(()) = changed_after(self.members_due, &mut self.members) => {
                 self.members_due = Instant::now() + MEMBERS_INTERVAL;
                 GroupEvent::Members
             }
+        }
+    }
+
+    /// Minimum interval between two poses or cameras.
+    fn pose_interval(&self) -> Duration {
+        POSE_INTERVAL.max(POSE_INTERVAL_PER_FOLLOWER * self.follower_count())
+    }
+
+    /// Returns the camera of the member in control, as far as it was announced; `None` if that is this member.
+    pub(super) fn led_camera(&self) -> Option<CameraJson> {
+        let camera = self.camera.borrow().clone();
+        camera.filter(|_| !self.has_control())
+    }
+
+    /// Broadcasts the camera for which surfaces are made, if this member has control.
+    pub(super) fn broadcast_camera(&self, camera: Option<CameraJson>) {
+        if self.has_control() {
+            self.group.camera.send_if_modified(|current| {
+                let is_new = *current != camera;
+                *current = camera;
+                is_new
+            });
         }
     }
 

@@ -26,6 +26,7 @@
 //! - **Supersession.** A newer edit ends a generation of which something was committed: its token cancels the device's job between two
 //!   stages, its frames leave the outbox, and `superseded` follows. A generation of which nothing was committed first commits a step, so
 //!   that a viewer who drags a slider faster than surfaces are made still sees some of them.
+//! - **Camera.** When nothing else is waited for, surfaces that were made for another camera follow it (`camera`).
 //! - **Pictures.** `draw_pause` gives a client on the same machine time to draw.
 //! - **Questions.** Queries on a surface are answered when no generation is running (`questions`).
 //! - **Time.** At another time step the surfaces are made again, and regions that are equal are not sent again. The next step is
@@ -36,6 +37,7 @@
 //! Invariant: the regions that the client holds of a surface change only when `committed` goes to the writer. Later frames arrive in order
 //! or the connection ends, so both sides agree.
 
+mod camera;
 mod draw_pause;
 mod edits;
 mod failing;
@@ -67,6 +69,7 @@ use futures_util::stream::FuturesOrdered;
 use isopeel_codec::chunk::Coding;
 use isopeel_extraction::dataset_views::opening_view;
 use isopeel_extraction::{Question, WorkError};
+use isopeel_view::CameraJson;
 use isopeel_volumes::{Dataset, Lease, StepKey, VolumeStep};
 use tokio::sync::mpsc;
 use tokio::time::Instant;
@@ -180,6 +183,8 @@ pub(super) struct Session<B> {
     questions: Questions,
     /// The time step that is read ahead.
     ahead: Option<Ahead>,
+    /// The camera of the viewer, for the open volume.
+    camera: Option<CameraJson>,
     /// The viewer's membership of a group.
     member: Option<Member>,
     /// The last volume that this session tried to open because the member in control has opened it.
@@ -212,6 +217,7 @@ impl<B: Backend> Session<B> {
             line: Line::new(),
             questions: Questions::default(),
             ahead: None,
+            camera: None,
             member: None,
             tried: None,
             resolving: None,
@@ -421,6 +427,7 @@ impl<B: Backend> Session<B> {
                     | ClientMessage::Step { .. }
                     | ClientMessage::Edit(_)
                     | ClientMessage::Remove { .. } => self.on_change(message),
+                    ClientMessage::Camera { camera } => self.on_camera(camera),
                     ClientMessage::Cancel {} => self.on_cancel(),
                     ClientMessage::Heartbeat {} => self.heartbeat.begin(),
                     ClientMessage::Lead { .. }
@@ -489,6 +496,9 @@ impl<B: Backend> Session<B> {
             Err(error) => return self.send_error("unknown-step", error.to_string(), true),
         };
         self.opens += 1;
+        // A camera is in the world of one volume.
+        self.camera = None;
+        self.broadcast_camera();
         let step_guard = self.backend.mark_open(&volume);
         self.opened = Some(OpenVolume::new(volume, view, step_guard, lease));
     }

@@ -3,8 +3,8 @@
 mod close;
 
 use isopeel_codec::chunk::{ChunkKind, MAX_SURFACES};
-use isopeel_view::Edit;
 use isopeel_view::quality::MesherName;
+use isopeel_view::{CameraJson, Edit};
 use serde::de::value::MapDeserializer;
 use serde::{Deserialize, Deserializer, Serialize};
 use serde_json::Value;
@@ -17,7 +17,7 @@ use super::group::{Follower, LedSurface, Pose, Resume};
 use crate::service::Preparation;
 
 /// Subprotocol that a client must offer.
-pub const SUBPROTOCOL: &str = "isopeel.v2";
+pub const SUBPROTOCOL: &str = "isopeel.v3";
 
 /// Maximum bytes of a client's message. An edit with 64 control points takes about 4 KiB.
 pub const MAX_MESSAGE_BYTES: usize = 64 * 1024;
@@ -121,6 +121,11 @@ pub enum ClientMessage {
     Heartbeat {},
     /// Leave the group; who leads it ends it.
     Leave {},
+    /// How the viewer looks at the surfaces: what it sees from near is made finer.
+    Camera {
+        /// The camera; null: none of its own.
+        camera: Option<CameraJson>,
+    },
     /// How the surfaces are looked at, for those who follow.
     Pose(Pose),
     /// Ask for control, or no longer.

@@ -2,10 +2,11 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::camera::{CameraJson, Detail};
 use super::chosen_parts::{self, ChosenPartsJson};
 use super::interest::InterestJson;
 use super::mask;
-use super::quality::{self, Distance, MaxError, MesherName, TopologyName, TriangleBudget};
+use super::quality::{self, ErrorLimit, MaxError, MesherName, TopologyName, TriangleBudget};
 use super::transfer_function::TransferFunctionJson;
 
 /// Any subset of what can be edited; what is absent stays as it was.
@@ -48,9 +49,10 @@ pub struct Edit {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub beta: Option<f32>,
     /// How far the surface may be decimated, instead of `beta`: a part is merged up to this error over its weight, which falls
-    /// with importance.
+    /// with importance and grows with the distance to the camera. In pixels it is the root mean square over what the camera sees; without
+    /// a camera, a pixel counts as a tenth of the smallest spacing.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub error: Option<Distance>,
+    pub error: Option<ErrorLimit>,
     /// Maximum triangles, instead of `beta`: the smallest tolerance that keeps it is found. Beside `error`, the greater of both
     /// decides.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -102,6 +104,13 @@ pub struct Edit {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "openapi", schema(max_items = 64))]
     pub interest: Option<Vec<InterestJson>>,
+    /// Whether what the camera sees from near is finer, or every part alike. Of a surface that an error or a budget decides, with the dual
+    /// mesher.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub detail: Option<Detail>,
+    /// Camera for which the surface is made. Requests only: in the stream, the message `camera` has it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub camera: Option<CameraJson>,
 }
 
 impl Edit {

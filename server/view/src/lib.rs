@@ -1,5 +1,6 @@
 //! Requests of users. A [`View`] is everything that decides a surface; an [`Edit`] is any part of a view, as JSON.
 
+mod camera;
 mod chosen_parts;
 mod edit;
 mod error;
@@ -19,6 +20,7 @@ mod transfer_function;
 use isopeel_geometry::IndexSpace;
 use isopeel_kernels::{CutParams, DerivedFeature, Histogram, Isovalue, Level, MAX_LEVEL, Topology};
 
+pub use camera::{CameraJson, Detail, Projection};
 pub use chosen_parts::{ChosenPartsJson, parse_position};
 pub use edit::Edit;
 pub use error::EditError;
@@ -31,7 +33,9 @@ pub use outward::Outward;
 pub use transfer_function::{PointJson, TransferFunctionJson};
 
 use error::quoted;
-use quality::{Budget, Distance, Fitted, GuardName, MaxError, MesherName, ShareBudget, TopologyName, TriangleBudget};
+use quality::{
+    Budget, Distance, ErrorLimit, Fitted, GuardName, MaxError, MesherName, ShareBudget, TopologyName, TriangleBudget,
+};
 
 /// Everything that decides a surface of one dataset. Every value is in its range; `None` stands for a value that depends on the data
 /// and that [`View::resolve`] fills in.
@@ -52,7 +56,7 @@ pub struct View {
     /// Importance up to which a cube is decimated. Used only if there is neither an error nor a budget.
     pub beta: f32,
     /// Instead of `beta`: a part is merged up to this error divided by the part's weight.
-    pub error: Option<Distance>,
+    pub error: Option<ErrorLimit>,
     /// Maximum size of the surface, instead of `beta`. If there is an error too, the greater tolerance of both decides.
     pub budget: Option<Budget>,
     /// Minimum area of a part of the surface, in world units. Smaller parts are removed before the surface is cut. 0: no part is removed.
@@ -76,6 +80,10 @@ pub struct View {
     pub transfer_function: TransferFunctionJson,
     /// Regions of interest, in which importance is raised.
     pub interest: Vec<InterestJson>,
+    /// Whether the surface follows the camera.
+    pub detail: Detail,
+    /// Camera for which the surface is made.
+    pub camera: Option<CameraJson>,
 }
 
 /// Checks that `field` is a field of the volume, or an expression over its fields.
@@ -98,8 +106,8 @@ impl View {
     /// look like the rest of the surface.
     pub const OPENING_ALPHA: f32 = 0.5;
 
-    /// Error with which a volume opens: too small to see if a voxel covers a few pixels.
-    pub const OPENING_ERROR: Distance = Distance::Spacings(0.1);
+    /// Error with which a volume opens: too small to see.
+    pub const OPENING_ERROR: ErrorLimit = ErrorLimit::Pixels(1.0);
 
     /// Budget with which a volume opens. On a GPU the bundled viewer draws that many triangles at once.
     pub const OPENING_BUDGET: ShareBudget = ShareBudget {
@@ -129,6 +137,8 @@ impl View {
             max_level: MAX_LEVEL,
             transfer_function: TransferFunctionJson::default(),
             interest: Vec::new(),
+            detail: Detail::default(),
+            camera: None,
         }
     }
 
@@ -213,6 +223,17 @@ impl View {
             interest::check(interest)?;
             view.interest.clone_from(interest);
         }
+        view.detail = edit.detail.unwrap_or(view.detail);
+        if let Some(camera) = &edit.camera {
+            camera.check()?;
+            if !view.is_by_error() {
+                return Err(EditError {
+                    field: "camera",
+                    why: view.has_no_tree_cut("given"),
+                });
+            }
+            view.camera = Some(camera.clone());
+        }
         Ok(view)
     }
 
@@ -259,7 +280,7 @@ impl View {
         self.min_part = 0.0;
         match edit.min_part {
             None | Some(0.0) => Ok(()),
-            Some(min_part) => refuse(self.keeps_all_parts(&min_part.to_string())),
+            Some(min_part) => refuse(self.has_no_tree_cut(&min_part.to_string())),
         }
     }
 
@@ -277,13 +298,13 @@ impl View {
             None | Some(None) => Ok(()),
             Some(Some(_)) => Err(EditError {
                 field: "parts",
-                why: self.keeps_all_parts("given"),
+                why: self.has_no_tree_cut("given"),
             }),
         }
     }
 
-    /// Returns the reason why no parts can be removed from this view.
-    fn keeps_all_parts(&self, given: &str) -> String {
+    /// Returns the reason why this view has no cut of the vertex tree, which can leave out parts and follow a camera.
+    fn has_no_tree_cut(&self, given: &str) -> String {
         match self.mesher {
             MesherName::MarchingCubes => format!("{given} with marching-cubes, expected the dual mesher"),
             MesherName::Dual => format!("{given} with beta alone, expected error, triangles or bytes too"),
@@ -326,7 +347,7 @@ impl View {
         if let Some(error) = error
             && !error.is_valid()
         {
-            return refuse("error", format!("{}, {}", MaxError::At(error), Distance::EXPECTED));
+            return refuse("error", format!("{error}, {}", ErrorLimit::EXPECTED));
         }
         let budget = match (triangles, bytes) {
             (Some(_), Some(_)) => {
@@ -408,6 +429,7 @@ impl View {
         let Some(fitted) = self.fitted else { return Vec::new() };
         let error_gave_way = self.max_error == MaxError::Auto
             && self.is_by_error()
+            && fitted.pixels.is_none()
             && fitted.threshold > MaxError::AUTO.in_spacings(smallest)
             && self
                 .error
@@ -438,6 +460,12 @@ impl View {
         self.mesher == MesherName::Dual && (self.error.is_some() || self.budget.is_some())
     }
 
+    /// Returns the camera that the surface follows: none if β decides, or if every part is to be fine alike.
+    pub fn camera_in_force(&self) -> Option<&CameraJson> {
+        let follows = self.detail == Detail::View && self.is_by_error();
+        self.camera.as_ref().filter(|_| follows)
+    }
+
     /// Returns β, if β decides: the one that was fitted to the budget, or else the view's own.
     pub fn beta_in_force(&self) -> Option<f32> {
         let beta = self.fitted.map_or(self.beta, |fitted| fitted.threshold);
@@ -445,13 +473,17 @@ impl View {
     }
 
     /// Returns the tolerance in smallest spacings, if an error or a budget decides. If there are both, returns the greater tolerance. If it
-    /// is below 0, nothing is decimated.
+    /// is below 0, nothing is decimated. If the surface was made for a camera, it is the tolerance at the distance of the camera's target.
     pub fn tolerance_in_force(&self, smallest: f64) -> Option<f32> {
         let guard = self
             .max_error_in_force()
             .map_or(f32::INFINITY, |guard| guard.in_spacings(smallest));
         let error = self.error.map(|error| error.in_spacings(smallest).min(guard));
         let fitted = self.fitted.map(|fitted| fitted.threshold);
+        // What pixels are in space is known once the tree is cut for the camera.
+        if self.fitted.is_some_and(|fitted| fitted.pixels.is_some()) {
+            return fitted;
+        }
         let greater = match (error, fitted) {
             (Some(error), Some(fitted)) => error.max(fitted),
             (error, fitted) => fitted.or(error).unwrap_or(0.0),
@@ -487,6 +519,8 @@ impl View {
             max_level: Some(self.max_level.get()),
             transfer_function: Some(self.transfer_function.clone()),
             interest: Some(self.interest.clone()),
+            detail: Some(self.detail),
+            camera: self.camera.clone(),
         }
     }
 }

@@ -54,9 +54,8 @@ impl From<TopologyName> for Topology {
     }
 }
 
-/// A distance, 0 or more. In JSON a number of world units, or a string such as `0.25vx` (multiples of the volume's smallest spacing).
+/// A distance, 0 or more. In JSON a number of world units, or text such as `0.25vx` (multiples of the volume's smallest spacing).
 #[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "typescript", derive(ts_rs::TS), ts(type = "number | string"))]
 pub enum Distance {
     /// World units.
     World(f32),
@@ -116,12 +115,101 @@ impl Serialize for Distance {
     }
 }
 
-impl<'de> Deserialize<'de> for Distance {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        match MaxError::deserialize(deserializer)? {
-            MaxError::At(distance) => Ok(distance),
-            other => Err(de::Error::custom(format!("{other}, {}", Self::EXPECTED))),
+/// Limit on the error of a surface: a distance, or pixels of the picture that a camera makes of it. In JSON a number of world units, or text
+/// such as `0.25vx` or `1px`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "typescript", derive(ts_rs::TS), ts(type = "number | string"))]
+pub enum ErrorLimit {
+    /// A distance in space.
+    Distance(Distance),
+    /// Pixels, root mean square over what the camera sees.
+    Pixels(f32),
+}
+
+impl ErrorLimit {
+    /// The expected form, for error messages.
+    pub const EXPECTED: &str = "expected a number of world units, 0 or more, or text like \"0.25vx\" (multiples of the smallest spacing) or \"1px\" (pixels of the picture, above 0)";
+
+    /// Spacings that a pixel counts as if there is no camera: where a voxel covers a few pixels, an error of that size cannot be seen.
+    pub const SPACINGS_OF_A_PIXEL: f32 = 0.1;
+
+    /// Returns the limit in multiples of the smallest spacing `smallest` (world units) for a surface without a camera.
+    pub fn in_spacings(self, smallest: f64) -> f32 {
+        match self {
+            Self::Distance(distance) => distance.in_spacings(smallest),
+            Self::Pixels(pixels) => (pixels * Self::SPACINGS_OF_A_PIXEL).min(f32::MAX),
         }
+    }
+
+    /// Whether the limit is finite, and not below 0; pixels are above 0.
+    pub fn is_valid(self) -> bool {
+        match self {
+            Self::Distance(distance) => distance.is_valid(),
+            Self::Pixels(pixels) => pixels.is_finite() && pixels > 0.0,
+        }
+    }
+}
+
+impl std::fmt::Display for ErrorLimit {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Distance(distance) => MaxError::At(*distance).fmt(f),
+            Self::Pixels(pixels) => write!(f, "{pixels}px"),
+        }
+    }
+}
+
+impl FromStr for ErrorLimit {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let parsed = match text.strip_suffix("px") {
+            Some(number) => number.parse().ok().map(Self::Pixels),
+            None => text.parse().ok().map(Self::Distance),
+        };
+        let valid = parsed.filter(|limit| limit.is_valid());
+        valid.ok_or_else(|| format!("{text:?}, {}", Self::EXPECTED))
+    }
+}
+
+impl Serialize for ErrorLimit {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        match self {
+            Self::Distance(distance) => distance.serialize(serializer),
+            Self::Pixels(_) => serializer.collect_str(self),
+        }
+    }
+}
+
+impl<'de> Deserialize<'de> for ErrorLimit {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Forms;
+
+        impl Visitor<'_> for Forms {
+            type Value = ErrorLimit;
+
+            fn expecting(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+                f.write_str("a number of world units, or text like \"0.25vx\" or \"1px\"")
+            }
+
+            fn visit_f64<E>(self, error: f64) -> Result<ErrorLimit, E> {
+                Ok(ErrorLimit::Distance(Distance::World(error as f32)))
+            }
+
+            fn visit_u64<E: de::Error>(self, error: u64) -> Result<ErrorLimit, E> {
+                self.visit_f64(error as f64)
+            }
+
+            fn visit_i64<E: de::Error>(self, error: i64) -> Result<ErrorLimit, E> {
+                self.visit_f64(error as f64)
+            }
+
+            fn visit_str<E: de::Error>(self, text: &str) -> Result<ErrorLimit, E> {
+                text.parse().map_err(E::custom)
+            }
+        }
+
+        deserializer.deserialize_any(Forms)
     }
 }
 
@@ -324,6 +412,38 @@ pub struct Fitted {
     pub triangles: u64,
     /// Whether the surface is a cut of the vertex tree, and not of the octree.
     pub is_tree_cut: bool,
+    /// Error in the camera's picture; `None` if the surface was made for no camera, or if it is not a cut of the vertex tree.
+    pub pixels: Option<PixelError>,
+}
+
+/// What decides how fine a surface is in its camera's picture.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[cfg_attr(feature = "typescript", derive(ts_rs::TS))]
+#[serde(rename_all = "kebab-case")]
+pub enum PixelLimit {
+    /// The error that was asked for.
+    Error,
+    /// The budget.
+    Budget,
+    /// The picture: more triangles would show nothing more.
+    Pixels,
+    /// The guard on the error.
+    Guard,
+    /// The data: this is the full surface.
+    Data,
+}
+
+/// Error of a surface in its camera's picture, as the tree's quadrics estimate it. It is no bound.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[cfg_attr(feature = "typescript", derive(ts_rs::TS))]
+#[serde(rename_all = "camelCase")]
+pub struct PixelError {
+    /// Root mean square over what the camera sees, in pixels.
+    pub rms: f32,
+    /// What decides.
+    pub limited_by: PixelLimit,
 }
 
 /// A guard, which limits what decimation may change.
@@ -340,7 +460,7 @@ pub enum GuardName {
 
 #[cfg(test)]
 mod tests {
-    use super::{Distance, MaxError, ShareBudget, TriangleBudget};
+    use super::{Distance, ErrorLimit, MaxError, ShareBudget, TriangleBudget};
 
     #[test]
     fn errors_are_world_units_spacings_auto_or_none() {
@@ -364,6 +484,17 @@ mod tests {
             serde_json::from_str::<MaxError>("\"none\"").expect("JSON"),
             MaxError::None
         );
+        for (text, json, expected) in [
+            ("2", "2.0", ErrorLimit::Distance(Distance::World(2.0))),
+            ("0.25vx", "\"0.25vx\"", ErrorLimit::Distance(Distance::Spacings(0.25))),
+            ("1.5px", "\"1.5px\"", ErrorLimit::Pixels(1.5)),
+        ] {
+            assert_eq!(text.parse(), Ok(expected));
+            assert_eq!(expected.to_string(), text);
+            assert_eq!(serde_json::from_str::<ErrorLimit>(json).expect(json), expected);
+            assert_eq!(serde_json::to_string(&expected).expect("JSON"), json);
+        }
+        assert_eq!(ErrorLimit::Pixels(2.0).in_spacings(9.0), 0.2);
         assert_eq!(Distance::Spacings(0.5).in_spacings(1e-30), 0.5);
         assert_eq!(Distance::World(0.5).in_spacings(2.0), 0.25);
         assert_eq!(Distance::World(1.0).in_spacings(1e-50), f32::MAX);
@@ -371,18 +502,23 @@ mod tests {
 
     #[test]
     fn other_words_are_refused_with_what_was_expected() {
+        for text in ["0px", "-1px", "px"] {
+            assert!(text.parse::<ErrorLimit>().is_err(), "{text}");
+        }
         for text in ["", "vx", "-1", "nan", "inf", "-0.1vx", "1 vx", "much"] {
             let expected = format!("{text:?}, expected a number of world units");
             let error = text.parse::<MaxError>().expect_err(text);
             assert!(error.starts_with(&expected), "{error}");
             let error = text.parse::<Distance>().expect_err(text);
             assert!(error.starts_with(&expected), "{error}");
+            let error = text.parse::<ErrorLimit>().expect_err(text);
+            assert!(error.starts_with(&expected), "{error}");
         }
         for json in ["[]", "true", "\"x\""] {
             assert!(serde_json::from_str::<MaxError>(json).is_err(), "{json}");
         }
         for json in ["null", "\"none\"", "\"auto\"", "{}"] {
-            assert!(serde_json::from_str::<Distance>(json).is_err(), "{json}");
+            assert!(serde_json::from_str::<ErrorLimit>(json).is_err(), "{json}");
         }
     }
 

@@ -4,7 +4,7 @@ use isopeel_geometry::DAffine3;
 use isopeel_kernels::{Histogram, Topology};
 
 use super::{ChosenPartsJson, Edit, FeatureName, OpeningIso, PointJson, TransferFunctionJson, View};
-use crate::quality::{Distance, Fitted, GuardName, MaxError, TopologyName, TriangleBudget};
+use crate::quality::{Distance, ErrorLimit, Fitted, GuardName, MaxError, TopologyName, TriangleBudget};
 
 const FIELDS: &[&str] = &["t1", "gm"];
 
@@ -279,7 +279,7 @@ fn what_decides_takes_the_place_of_what_decided() {
         (edit.beta, edit.error, edit.triangles, edit.bytes)
     };
     let nine = Some(TriangleBudget::AtMost(9));
-    let half = Some(Distance::Spacings(0.5));
+    let half = Some(ErrorLimit::Distance(Distance::Spacings(0.5)));
     let beta = after(&opening, r#"{"beta":0.1}"#);
     assert_eq!(of(&beta), (Some(0.1), None, None, None));
     let budget = after(&beta, r#"{"triangles":9}"#);
@@ -314,6 +314,7 @@ fn the_greater_of_error_and_budget_is_in_force() {
             topology: Topology::Preserve,
             triangles: 9,
             is_tree_cut: true,
+            pixels: None,
         }),
         ..opening.apply(&edit(json), FIELDS).expect(json)
     };
@@ -342,6 +343,7 @@ fn guards_that_are_auto_give_way_to_a_budget_error_first() {
                 topology,
                 triangles: 9,
                 is_tree_cut: topology == Topology::Preserve,
+                pixels: None,
             }),
             ..opening.apply(&edit(json), FIELDS).expect(json)
         };

@@ -30,7 +30,7 @@ def decode_chunk(frame):
 async def first_surface(uri, volume, edit):
     """Vertices in index space, triangles and statistics of an edit's first `done`."""
     regions = {}
-    async with websockets.connect(uri, subprotocols=["isopeel.v2"], max_size=None, compression=None) as socket:
+    async with websockets.connect(uri, subprotocols=["isopeel.v3"], max_size=None, compression=None) as socket:
         await socket.send(json.dumps({"type": "open", "volume": volume}))
         await socket.send(json.dumps({"type": "edit", **edit}))
         while True:

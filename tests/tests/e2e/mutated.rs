@@ -52,7 +52,7 @@ const MESSAGES: [&str; 16] = [
 ];
 
 /// Opens a stream; written as [`ASKED`].
-const UPGRADE: &str = "GET /api/v1/stream HTTP/1.1\nConnection: Upgrade\nUpgrade: websocket\nSec-WebSocket-Version: 13\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\nSec-WebSocket-Protocol: isopeel.v2\n\n";
+const UPGRADE: &str = "GET /api/v1/stream HTTP/1.1\nConnection: Upgrade\nUpgrade: websocket\nSec-WebSocket-Version: 13\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\nSec-WebSocket-Protocol: isopeel.v3\n\n";
 
 /// Requests without `Host`; `\n` ends a line, and the body follows an empty line.
 const ASKED: [&str; 20] = [

@@ -50,7 +50,7 @@ async fn names_that_are_not_the_servers_are_refused() {
             address,
             &format!(
                 "GET /api/v1/stream HTTP/1.1\r\nHost: {host}\r\nOrigin: http://{host}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n\
-                 Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Protocol: isopeel.v2\r\n\r\n"
+                 Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Protocol: isopeel.v3\r\n\r\n"
             ),
         );
         answer.split_whitespace().nth(1).map(str::to_owned).expect("a status")

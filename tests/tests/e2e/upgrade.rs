@@ -105,7 +105,7 @@ fn a_client_of_another_stream_is_told_both_versions() {
     assert_eq!(refused.problem(400), "bad-request");
     let detail = refused.json()["detail"].as_str().expect("a text").to_owned();
     assert!(
-        detail.contains("isopeel.v1, other") && detail.contains("isopeel.v2"),
+        detail.contains("isopeel.v1, other") && detail.contains("isopeel.v3"),
         "{detail}"
     );
 }

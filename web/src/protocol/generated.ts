@@ -10,7 +10,7 @@ export const REGION_CELLS = 32;
 export const MAX_POINTS = 64;
 
 /** Subprotocol of the WebSocket. */
-export const SUBPROTOCOL = "isopeel.v2";
+export const SUBPROTOCOL = "isopeel.v3";
 
 /** Functions of expressions over fields. */
 export const EXPRESSION_FUNCTIONS = ["abs", "sqrt", "exp", "log", "log2", "log10", "sin", "cos", "tan", "floor", "ceil", "min", "max", "pow", "clamp", "magnitude", "if", "distance", "smooth"] as const;
@@ -154,6 +154,9 @@ export type ClientMessage = { "type": "open",
   codings: Array<string>,
 } | { "type": "heartbeat",
 } | { "type": "leave",
+} | { "type": "camera",
+  /** The camera; null: none of its own. */
+  camera: ViewCamera | null,
 } | { "type": "pose" } & Pose | { "type": "ask-control",
   /** True to ask for control, false to withdraw the request. */
   asks: boolean,
@@ -195,8 +198,8 @@ export type DerivedInfo = {
   histogram?: Histogram,
 };
 
-/** A distance, 0 or more. In JSON a number of world units, or a string such as `0.25vx` (multiples of the volume's smallest spacing). */
-export type Distance = number | string;
+/** Which parts of a surface are fine. */
+export type Detail = "view" | "uniform";
 
 /** Any subset of what can be edited; what is absent stays as it was. */
 export type Edit = {
@@ -227,9 +230,10 @@ export type Edit = {
   beta?: number,
   /**
    * How far the surface may be decimated, instead of `beta`: a part is merged up to this error over its weight, which falls
-   * with importance.
+   * with importance and grows with the distance to the camera. In pixels it is the root mean square over what the camera sees; without
+   * a camera, a pixel counts as a tenth of the smallest spacing.
    */
-  error?: Distance,
+  error?: ErrorLimit,
   /**
    * Maximum triangles, instead of `beta`: the smallest tolerance that keeps it is found. Beside `error`, the greater of both
    * decides.
@@ -261,6 +265,13 @@ export type Edit = {
   transferFunction?: TransferFunction,
   /** Regions of interest, in which importance is raised, at most 64. They replace those set before. */
   interest?: Array<Interest>,
+  /**
+   * Whether what the camera sees from near is finer, or every part alike. Of a surface that an error or a budget decides, with the dual
+   * mesher.
+   */
+  detail?: Detail,
+  /** Camera for which the surface is made. Requests only: in the stream, the message `camera` has it. */
+  camera?: ViewCamera,
 };
 
 /** Pages that may embed the viewer in a frame. */
@@ -268,6 +279,12 @@ export type EmbedInfo = {
   /** Origins of these pages, in addition to the server's own. Only they may pass a token to the viewer. */
   origins: Array<string>,
 };
+
+/**
+ * Limit on the error of a surface: a distance, or pixels of the picture that a camera makes of it. In JSON a number of world units, or text
+ * such as `0.25vx` or `1px`.
+ */
+export type ErrorLimit = number | string;
 
 /** What a job is expected to cost, from the full surfaces of some of its extractions. */
 export type Estimate = {
@@ -517,6 +534,17 @@ export type OpeningIso = {
 
 /** Which side of a surface is its outside: the one that its triangles and normals show. */
 export type Outward = "auto" | "high" | "low";
+
+/** Error of a surface in its camera's picture, as the tree's quadrics estimate it. It is no bound. */
+export type PixelError = {
+  /** Root mean square over what the camera sees, in pixels. */
+  rms: number,
+  /** What decides. */
+  limitedBy: PixelLimit,
+};
+
+/** What decides how fine a surface is in its camera's picture. */
+export type PixelLimit = "error" | "budget" | "pixels" | "guard" | "data";
 
 /** What the page of the member in control shows beside its surfaces. */
 export type Pose = {
@@ -848,6 +876,8 @@ export type Statistics = {
   error: MeasuredError | null,
   /** The same distance as the leaves' quadrics estimate it. Null: not known. */
   estimatedError: EstimatedError | null,
+  /** Error in the picture of the camera that the surface was made for. Null: it was made for no camera, or is a cut of the octree. */
+  pixels: PixelError | null,
   /** Triangles of the undecimated marching-cubes surface, without removed parts. */
   fullTriangles: number,
   /** Triangles of the undecimated surface by the mesher of this one, without removed parts. Null: not counted. */
@@ -983,6 +1013,22 @@ export type VectorInfo = {
   components: [string, string, string],
   /** The features that are computed from them, by their names in edits. */
   features: { [key in string]: DerivedInfo },
+};
+
+/** A camera that looks at a surface, in world coordinates. */
+export type ViewCamera = {
+  /** Position of the camera. */
+  position: [number, number, number],
+  /** Position that the camera looks at. */
+  target: [number, number, number],
+  /** Direction that is up in the picture; not that in which the camera looks. */
+  up?: [number, number, number],
+  /** Vertical field of view of a perspective picture, in degrees, above 0 and below 180. Either this or `height` is given. */
+  fov?: number,
+  /** Height of a parallel picture, in world units. */
+  height?: number,
+  /** Width and height of the picture in pixels. */
+  viewport: [number, number],
 };
 
 /** A volume: the description of one time step for the editor. */

@@ -70,6 +70,7 @@ fn check(engine: &Engine, recipe: &Recipe, seed: u64) -> Result<[usize; 2], Test
         max_tolerance: f32::INFINITY,
         without: PartFilter::default(),
         may_vanish: false,
+        weights: None,
     };
     let goals = [
         goal(-1.0, full),

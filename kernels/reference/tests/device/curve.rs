@@ -18,6 +18,7 @@ fn goal(tolerance: f32) -> TreeGoal {
         max_tolerance: f32::INFINITY,
         without: PartFilter::default(),
         may_vanish: false,
+        weights: None,
     }
 }
 
@@ -47,6 +48,7 @@ fn check_tree(engine: &Engine, recipe: &Recipe, seed: u64) -> Result<(), TestCas
         tree: &host.tree,
         removed: &removed,
         may_vanish: false,
+        weights: None,
     };
     let importances = host.importances(engine, &planted, &cutter, &params)?;
     let want = cutter.cut(importances.as_ref(), &goal).expect("a cut without faults");

@@ -53,6 +53,7 @@ fn check_tree(engine: &Engine, recipe: &Recipe, seed: u64, bins: u32) -> Result<
             max_tolerance: f32::INFINITY,
             without: PartFilter { min_area, chosen: None },
             may_vanish: false,
+            weights: None,
         };
         cut(engine, &planted, &params, &goal);
         let (volume, pyramid, tree) = (&planted.loaded.volume, &planted.pyramid, &planted.tree);
@@ -73,6 +74,7 @@ fn check_tree(engine: &Engine, recipe: &Recipe, seed: u64, bins: u32) -> Result<
             tree: &host.tree,
             removed,
             may_vanish: false,
+            weights: None,
         };
         let importances = host.importances(engine, &planted, &cutter, &params)?;
         let want = cutter.cut(importances.as_ref(), &goal).expect("a cut without faults");

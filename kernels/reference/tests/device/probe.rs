@@ -119,7 +119,7 @@ fn leaves_of_the_tree_are_the_twins() {
         let (planted, mut random) = (plant(&engine, &recipe, false), Random(seed));
         let host = HostPyramid::read(&engine, &planted.pyramid);
         let params = params(&mut random, recipe.dims);
-        let goal = TreeGoal { tolerance: 0.1, max_triangles: u64::MAX, max_tolerance: f32::INFINITY, without: PartFilter::default(), may_vanish: false };
+        let goal = TreeGoal { tolerance: 0.1, max_triangles: u64::MAX, max_tolerance: f32::INFINITY, without: PartFilter::default(), may_vanish: false, weights: None };
         cut(&engine, &planted, &params, &goal);
         let (volume, pyramid) = (&planted.loaded.volume, &planted.pyramid);
         let shown = engine.shown_tree_cut(volume, pyramid, &planted.tree, &params, &goal, &Never).expect("the cut");
@@ -128,7 +128,7 @@ fn leaves_of_the_tree_are_the_twins() {
         engine.removed_parts(volume, pyramid, &planted.tree, &params, &small, &Never).expect("the parts");
         let of_tree = HostTree::read(&engine, &planted);
         let removed = BTreeSet::new();
-        let cutter = Cutter { mesh: &of_tree.mesh, tree: &of_tree.tree, removed: &removed, may_vanish: false };
+        let cutter = Cutter { mesh: &of_tree.mesh, tree: &of_tree.tree, removed: &removed, may_vanish: false, weights: None };
         let importances = of_tree.importances(&engine, &planted, &cutter, &params)?;
         let want = cutter.cut(importances.as_ref(), &goal).expect("a cut without faults");
         let pyramid_twin = filled(&host, &planted.loaded);

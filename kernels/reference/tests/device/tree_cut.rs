@@ -5,13 +5,14 @@ use super::interest::interests;
 use super::recipes::{Pattern, Random, recipes, surfaces};
 use super::tree::{Planted, check, plant};
 use super::*;
-use isopeel_kernels::{ControlPoint, PartFilter, TransferFunction, TreeGoal, Tuning};
+use isopeel_kernels::{ControlPoint, PartFilter, RegionWeights, TransferFunction, TreeGoal, Tuning};
 use isopeel_reference::tree::LATTICE;
-use isopeel_reference::tree_cut::{Cutter, TreeCut, TreeLeaf};
+use isopeel_reference::tree_cut::{Cutter, TreeCut, TreeLeaf, Weights};
 use isopeel_reference::tree_part::{Filter, Remaining, parts, total_area, without};
 use isopeel_reference::tree_relax::Relaxer;
 use rayon::prelude::*;
 use std::collections::{BTreeMap, HashSet};
+use std::sync::Arc;
 
 const NO_LIMIT: u64 = u64::MAX;
 
@@ -25,12 +26,19 @@ fn importances(points: &[[f32; 2]]) -> TransferFunction {
 
 /// Tolerances and budgets, each with some importance.
 fn goals(planted: &Planted, full: u64, without: &PartFilter, random: &mut Random) -> Vec<(CutParams, TreeGoal)> {
+    let regions = planted.pyramid.active_regions();
+    let weights: Vec<f32> = (0..2 * regions).map(|_| 2f32.powf(8.0 * random.unit() - 4.0)).collect();
+    let weighted = |first: usize, in_steps| {
+        let of_regions = weights[first..first + regions].to_vec();
+        Some(Arc::new(RegionWeights { of_regions, in_steps }))
+    };
     let goal = |tolerance, max_triangles| TreeGoal {
         tolerance,
         max_triangles,
         max_tolerance: f32::INFINITY,
         without: without.clone(),
         may_vanish: false,
+        weights: None,
     };
     let goals = [
         goal(-1.0, NO_LIMIT),
@@ -51,6 +59,20 @@ fn goals(planted: &Planted, full: u64, without: &PartFilter, random: &mut Random
             ..goal(-1.0, 0)
         },
         TreeGoal {
+            may_vanish: true,
+            ..goal(1.0 + 20.0 * random.unit(), NO_LIMIT)
+        },
+        TreeGoal {
+            weights: weighted(0, true),
+            ..goal(0.1 + random.unit(), full / 4)
+        },
+        TreeGoal {
+            weights: weighted(regions, false),
+            max_tolerance: 0.5,
+            ..goal(-1.0, full / 5)
+        },
+        TreeGoal {
+            weights: weighted(0, true),
             may_vanish: true,
             ..goal(1.0 + 20.0 * random.unit(), NO_LIMIT)
         },
@@ -131,6 +153,17 @@ fn check_surface(relaxer: &Relaxer<'_>, surface: &Surface, want: &TreeCut) -> Re
     }
     prop_assert!(got.values().all(|region| region.indices.is_empty()));
     Ok(())
+}
+
+/// The twin's weights of the regions.
+fn weights_of(planted: &Planted, goal: &TreeGoal) -> Option<Weights> {
+    let weights = goal.weights.as_ref()?;
+    let regions = planted.pyramid.region_coords();
+    Some(Weights {
+        of_regions: regions.zip(weights.of_regions.iter().copied()).collect(),
+        in_steps: weights.in_steps,
+        guard: goal.max_tolerance,
+    })
 }
 
 /// What no cut changes.
@@ -224,6 +257,7 @@ pub fn check_cuts_without(
         tree: &host.tree,
         removed: &remaining.nodes,
         may_vanish: false,
+        weights: None,
     };
     let relaxer = Relaxer {
         cutter,
@@ -239,14 +273,15 @@ pub fn check_cuts_without(
         max_tolerance: f32::INFINITY,
         without: filter.clone(),
         may_vanish: false,
+        weights: None,
     };
-    let weights = host.importances(engine, planted, &cutter, &planted.params)?;
-    let floor = cutter.cut(weights.as_ref(), &all);
+    let of_nodes = host.importances(engine, planted, &cutter, &planted.params)?;
+    let floor = cutter.cut(of_nodes.as_ref(), &all);
     let floor = floor.expect("a cut").triangles.values().map(Vec::len).sum::<usize>() as u64;
     let on_device = |(params, goal): (CutParams, TreeGoal)| {
         let of_device = cut(engine, planted, &params, &goal);
-        let weights = host.importances(engine, planted, &cutter, &params)?;
-        Ok((params, goal, of_device, weights))
+        let of_nodes = host.importances(engine, planted, &cutter, &params)?;
+        Ok((params, goal, of_device, of_nodes))
     };
     let goals = goals(planted, full_triangles.len() as u64, filter, &mut Random(seed));
     let cuts = goals
@@ -255,14 +290,16 @@ pub fn check_cuts_without(
         .collect::<Result<Vec<_>, TestCaseError>>()?;
     // The twin uses one core a cut.
     cuts.par_iter()
-        .try_for_each(|(params, goal, (surface, tolerance), weights)| {
+        .try_for_each(|(params, goal, (surface, tolerance), importances)| {
             let check = || {
+                let weights = weights_of(planted, goal);
                 let cutter = Cutter {
                     may_vanish: goal.may_vanish,
+                    weights: weights.as_ref(),
                     ..cutter
                 };
                 let relaxer = Relaxer { cutter, ..relaxer };
-                let want = cutter.cut(weights.as_ref(), goal).expect("a cut");
+                let want = cutter.cut(importances.as_ref(), goal).expect("a cut");
                 prop_assert_eq!(*tolerance, want.tolerance);
                 check_surface(&relaxer, surface, &want)?;
                 let triangles: Vec<Triangle> = want.triangles.values().flatten().copied().collect();
@@ -364,6 +401,7 @@ fn budgets_are_used_but_for_what_repairs_need() {
             max_tolerance: f32::INFINITY,
             without: PartFilter::default(),
             may_vanish: false,
+            weights: None,
         };
         let (surface, tolerance) = cut(&engine, &planted, &unweighted, &goal);
         let made = surface.statistics.triangles;
@@ -401,6 +439,7 @@ fn the_minimum_of_triangles_is_a_budget_that_is_kept() {
                 max_tolerance: f32::INFINITY,
                 without: PartFilter::default(),
                 may_vanish: false,
+                weights: None,
             };
             cut(&engine, &planted, &planted.params, &goal).0.statistics.triangles
         };

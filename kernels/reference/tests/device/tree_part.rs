@@ -76,6 +76,7 @@ fn check_counts(
         max_triangles: u64::MAX,
         without: filter.clone(),
         may_vanish: false,
+        weights: None,
     };
     let (surface, _) = cut(engine, planted, params, &goal);
     prop_assert_eq!(surface.statistics.removed, Some(removed));
@@ -208,6 +209,7 @@ fn removed_parts_are_not_measured() {
         max_triangles: u64::MAX,
         without: PartFilter { min_area, chosen: None },
         may_vanish: false,
+        weights: None,
     };
     let before = planted.tree.device_bytes();
     let (whole, _) = cut(&engine, &planted, &params, &goal(0.0));

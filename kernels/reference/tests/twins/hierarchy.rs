@@ -65,6 +65,7 @@ fn cutter<'a>(mesh: &'a FullMesh, tree: &'a Tree, removed: &'a BTreeSet<NodeId>)
         tree,
         removed,
         may_vanish: false,
+        weights: None,
     }
 }
 
@@ -75,6 +76,7 @@ fn cut_with(cutter: &Cutter<'_>, tolerance: f32, max_triangles: u64) -> TreeCut 
         max_tolerance: f32::INFINITY,
         without: PartFilter::default(),
         may_vanish: false,
+        weights: None,
     };
     cutter.cut(None, &goal).expect("a cut")
 }

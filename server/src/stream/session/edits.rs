@@ -27,6 +27,9 @@ impl<B: Backend> Session<B> {
         let surface = surface as u8;
         let before = opened.edited_view_of(surface);
         match before.apply(edit, &opened.volume.dataset().field_names()) {
+            Ok(_) if edit.camera.is_some() => {
+                self.send_error("bad-edit", "camera: given, expected the message camera", true);
+            }
             Ok(view) if view.cap => {
                 let message = "cap: true, the stream has no caps yet, expected false; exports have them";
                 self.send_error("bad-edit", message, true);
@@ -44,8 +47,8 @@ impl<B: Backend> Session<B> {
         self.send_error("forbidden", message, true);
     }
 
-    /// Marks a surface as changed. The surface's generation ends at once if one of its steps was committed, else after its first
-    /// commit.
+    /// Marks a surface as changed. The surface's generation ends at once if one of its steps was committed or if it only follows a camera,
+    /// else after its first commit.
     pub(super) fn change(&mut self, surface: u8) {
         let opened = self.opened.as_mut();
         let Some(session) = opened.and_then(|opened| opened.surface_mut(surface)) else {
@@ -53,7 +56,9 @@ impl<B: Backend> Session<B> {
         };
         session.edit_pending = true;
         match session.generation_mut() {
-            Some(generation) if !generation.has_committed => generation.is_overtaken = true,
+            Some(generation) if !generation.has_committed && !generation.follows_camera => {
+                generation.is_overtaken = true;
+            }
             _ => self.end_generation(surface),
         }
     }
@@ -168,7 +173,7 @@ impl<B: Backend> Session<B> {
             self.pool = FuturesOrdered::new();
         }
         self.outbox.drop_surface(surface);
-        if generation.is_unsent_improvement() {
+        if generation.is_unrequested_and_unsent() {
             return;
         }
         self.send(&ServerMessage::Superseded {

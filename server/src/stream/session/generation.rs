@@ -13,7 +13,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use isopeel_codec::chunk::{Coding, PrefixId};
-use isopeel_extraction::{CutId, ExtractionStatistics, FullCount, Shown, ViewKey};
+use isopeel_extraction::{CutId, ExtractionStatistics, FullCount, Shown, SurfaceKey, ViewKey};
 use isopeel_kernels::{StageTime, SurfaceStatistics};
 use isopeel_view::View;
 use isopeel_view::quality::Budget;
@@ -67,7 +67,9 @@ pub(super) struct Generation {
     /// Guard that delays the further steps of other members of the group until this first step is ready to be sent. `None` if the viewer is
     /// in no group or its line is full.
     pub first_step: Option<FirstStep>,
-    /// When an edit began this generation; `None` if it improves a surface at rest.
+    /// Whether it only follows a camera, so that an edit ends it at once.
+    pub follows_camera: bool,
+    /// When an edit began this generation; `None` if it follows a camera, or improves a surface at rest.
     begun: Option<Instant>,
     pub token: CancellationToken,
     /// Cancels `token` when the generation is dropped.
@@ -158,14 +160,15 @@ impl Generation {
             waiting_since_job: 0,
             failure: None,
             first_step: None,
+            follows_camera: false,
             begun: None,
             _cancel: token.clone().drop_guard(),
             token,
         }
     }
 
-    /// Whether this generation only improves a final surface at rest, and none of its frames was sent.
-    pub(super) fn is_unsent_improvement(&mut self) -> bool {
+    /// Whether no edit has requested this generation, and none of its frames was sent.
+    pub(super) fn is_unrequested_and_unsent(&mut self) -> bool {
         let was_handed_over = |sent: &mut StepBeingSent| sent.handed_over.is_some();
         self.begun.is_none() && !self.has_committed && !self.sent().is_some_and(was_handed_over)
     }
@@ -176,6 +179,16 @@ impl Generation {
         Self {
             begun: Some(Instant::now()),
             ..Self::new(surface, number, view, key, shown)
+        }
+    }
+
+    /// Creates a generation in which a surface that the client holds follows a camera. `key`: key of the view's full surface.
+    pub(super) fn for_camera(surface: u8, number: u32, view: View, key: SurfaceKey) -> Self {
+        let key = ViewKey::new(key, &view);
+        Self {
+            follows_camera: true,
+            // The surface is replaced as a whole, by regions that differ.
+            ..Self::new(surface, number, view, key, Shown::Alike)
         }
     }
 

@@ -170,6 +170,7 @@ impl<B: Backend> Session<B> {
     pub(super) fn on_group_event(&mut self, event: GroupEvent) {
         match event {
             GroupEvent::Scene => self.lead_or_follow(),
+            GroupEvent::Camera => self.make_way_for_camera(),
             GroupEvent::Members => self.send_members(),
             GroupEvent::Pose(pose) => {
                 let message = ServerMessage::Posed { pose: (*pose).clone() };
@@ -196,6 +197,7 @@ impl<B: Backend> Session<B> {
         let Some(opened) = &self.opened else { return };
         // While the volume is being opened, its isovalue is not known.
         if member.has_control() && opened.phase == OpeningPhase::Open {
+            member.broadcast_camera(self.camera.clone());
             let surfaces = opened.surfaces().filter(|(_, surface)| surface.last_edit > 0);
             let surfaces = surfaces
                 .map(|(number, surface)| (number, surface.view.clone()))

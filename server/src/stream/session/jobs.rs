@@ -393,6 +393,7 @@ impl<B: Backend> Session<B> {
         while self.begin_generations() {
             self.allot(None);
         }
+        self.follow_camera();
         if self.start_describing() {
             return;
         }
@@ -405,6 +406,7 @@ impl<B: Backend> Session<B> {
 
     /// Begins the generations of views that have come into force. Returns whether any has begun.
     fn begin_generations(&mut self) -> bool {
+        let camera = self.camera_in_force();
         let Some(opened) = &mut self.opened else { return false };
         let (engine, volume) = (self.backend.engine(), opened.volume.clone());
         let mut has_begun = false;
@@ -415,7 +417,7 @@ impl<B: Backend> Session<B> {
                 let group_member = self.member.as_ref().filter(|_| !self.pace.is_line_full());
                 let key = SurfaceKey::new(engine, &volume, &surface.view);
                 let first_step = group_member.map(Member::first_step);
-                surface.begin(number, self.last_generation, key, self.jobs, first_step);
+                surface.begin(number, self.last_generation, key, camera.clone(), self.jobs, first_step);
                 has_begun = true;
             }
         }

@@ -99,8 +99,18 @@ impl Questions {
         }
     }
 
+    /// Whether a question waits or is being answered, besides annotations.
+    pub(super) fn is_asked(&self) -> bool {
+        let is_annotation = |question: &Question| priority(*question) == ANNOTATIONS;
+        let is_running = self
+            .running
+            .as_ref()
+            .is_some_and(|running| !is_annotation(&running.question));
+        is_running || self.waiting[..ANNOTATIONS].iter().any(Option::is_some)
+    }
+
     /// Drops an annotation of any surface: an edit of one surface may change the others through their parts of the budget.
-    fn drop_annotation(&mut self) {
+    pub(super) fn drop_annotation(&mut self) {
         self.waiting[ANNOTATIONS] = None;
         self.running
             .take_if(|running| matches!(running.question, Question::VertexErrors(_)));

@@ -3,8 +3,8 @@
 use std::sync::Arc;
 
 use isopeel_extraction::{Shown, SurfaceKey, ViewKey};
-use isopeel_view::View;
 use isopeel_view::quality::Budget;
+use isopeel_view::{CameraJson, View};
 
 use super::super::groups::FirstStep;
 use super::super::shared::HeldRegions;
@@ -119,6 +119,15 @@ impl SurfaceSession {
         }
     }
 
+    /// Returns the view in force with the surface's part of the budget, for a camera.
+    pub(super) fn view_for(&self, camera: Option<CameraJson>) -> View {
+        View {
+            budget: self.view.budget.and(self.allotted.or(self.view.budget)),
+            camera,
+            ..self.view.clone()
+        }
+    }
+
     /// Begins a generation of the view in force. `key`: key of the view's full surface. `jobs`: number of the connection's jobs so far.
     /// `first_step`: guard of a member of a group.
     pub(super) fn begin(
@@ -126,11 +135,11 @@ impl SurfaceSession {
         surface: u8,
         number: u32,
         key: SurfaceKey,
+        camera: Option<CameraJson>,
         jobs: u64,
         first_step: Option<FirstStep>,
     ) {
-        let mut view = self.view.clone();
-        view.budget = view.budget.and(self.allotted.or(view.budget));
+        let view = self.view_for(camera);
         // After a change of the time step the regions that differ are replaced in one step. An intermediate coarse surface would send all
         // of them twice.
         let shown = match (&self.shown, self.holds_another_step) {
@@ -141,8 +150,12 @@ impl SurfaceSession {
         self.key = Some(key.clone());
         let key = ViewKey::new(key, &view);
         let mut generation = Generation::from_edit(surface, number, view, key, shown);
-        generation.waiting_since_job = jobs;
         generation.first_step = first_step;
+        self.begin_generation(generation, jobs);
+    }
+
+    pub(super) fn begin_generation(&mut self, mut generation: Generation, jobs: u64) {
+        generation.waiting_since_job = jobs;
         self.edit_pending = false;
         self.failed = None;
         self.phase = Phase::Working(Box::new(generation));
