@@ -1,4 +1,4 @@
-// tree_part: the connected parts of the full dual mesh, and the removal of some of them (docs/algorithm.md#81-removed-parts).
+// tree_part: the connected parts of the full dual mesh, and the removal of some of them (docs/algorithm.md#82-removed-parts).
 //
 //   kernel              work-item   writes
 //   tree_part_begin     a point     labels: each point is a part of its own

@@ -1,4 +1,4 @@
-// tree_relax: how far the nodes of a cut of the vertex tree move (docs/algorithm.md#82-relaxation). One work-group a region.
+// tree_relax: how far the nodes of a cut of the vertex tree move (docs/algorithm.md#83-relaxation). One work-group a region.
 //
 //   kernel        writes
 //   tree_offsets  of each node the sums of the offsets around it

@@ -65,7 +65,7 @@ pub use engine::{
     Engine,
     cut::{Differences, Kept},
     fit::BUDGET_FIT,
-    query::{CURVE_POINTS, CurvePoint, DistributionCounts, MAX_BINS, Probed, ProbedLeaf, ProbedPart, ShownCut},
+    query::{CURVE_POINTS, DistributionCounts, MAX_BINS, Probed, ProbedLeaf, ProbedPart, ShownCut},
     tree_refine::{RefinementCost, RegionVertex},
     upload::Upload,
     vertex_distances::DistanceOf,
@@ -85,8 +85,8 @@ pub use sources::build_id;
 pub use stages::histogram::HistogramWork;
 pub use stages::overview::{Overview, OverviewMode, OverviewPart, OverviewValues, OverviewWork};
 pub use surface::{
-    Count, ErrorEstimate, MeasuredError, Region, RemovedParts, StageTime, Surface, SurfaceError, SurfaceStatistics,
-    Vertex,
+    Count, CurvePoint, ErrorEstimate, MeasuredError, Region, RemovedParts, StageTime, Surface, SurfaceError,
+    SurfaceStatistics, Vertex,
 };
 pub use synthetic::{DeviceSpeed, Shape, Synthetic};
 pub use transfer::{ControlPoint, TransferFunction};

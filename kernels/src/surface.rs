@@ -162,3 +162,14 @@ pub struct Surface {
     /// Counts, error, times and memory.
     pub statistics: SurfaceStatistics,
 }
+
+/// A cut of a curve.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CurvePoint {
+    /// Tolerance or β.
+    pub threshold: f32,
+    /// Triangles of its surface.
+    pub triangles: u64,
+    /// Estimated error, root mean square in world units.
+    pub rms: f32,
+}

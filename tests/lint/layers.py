@@ -62,7 +62,7 @@ LAYERS = {
     "server/extraction/src": """
         dataset_views error fields joined memory observer open_steps residency user_time
         chunk_bytes grids host_memory keys
-        byte_search context histogram_cache identity job_error pins shares statistics
+        byte_search camera context histogram_cache identity job_error pins shares statistics
         feature_fields results
         cuts decisions intersections tree_steps
         workspace
@@ -82,7 +82,7 @@ LAYERS = {
     """,
     "server/view/src": """
         error outward
-        interest mask quality transfer_function
+        camera interest mask quality transfer_function
         chosen_parts expression opening parts schemas
         feature
         edit

@@ -8,7 +8,7 @@
 #include "lib/layout.h"
 
 // How far relaxation moves a node at most, smallest spacings: further than this only if its own error is large
-// (docs/algorithm.md#82-relaxation).
+// (docs/algorithm.md#83-relaxation).
 #define MIN_MOVE 0.04f
 // That limit in 9 bits: its sign, exponent and five bits of its mantissa, less those of MIN_MOVE.
 #define MOVE_SHIFT 18

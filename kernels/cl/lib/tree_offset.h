@@ -1,4 +1,4 @@
-// How far nodes of the vertex tree move in a cut (docs/algorithm.md#82-relaxation): sums of offsets, and what becomes of them.
+// How far nodes of the vertex tree move in a cut (docs/algorithm.md#83-relaxation): sums of offsets, and what becomes of them.
 //
 // The offsets around a node are one number, so that they take one atomic operation: how many from bit COUNT_SHIFT on, and below, with a sign,
 // their sum in smallest spacings / OFFSET_STEPS. Sums of integers do not depend on the order. That is enough for 255 triangles. Nodes of levels

@@ -1,4 +1,4 @@
-//! The connected parts of the full dual mesh, and a mesh without some of them (docs/algorithm.md#81-removed-parts).
+//! The connected parts of the full dual mesh, and a mesh without some of them (docs/algorithm.md#82-removed-parts).
 
 use std::collections::BTreeSet;
 

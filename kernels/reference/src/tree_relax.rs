@@ -1,4 +1,4 @@
-//! Relaxed positions of the vertex tree's nodes in a cut (docs/algorithm.md#82-relaxation).
+//! Relaxed positions of the vertex tree's nodes in a cut (docs/algorithm.md#83-relaxation).
 
 use std::collections::BTreeMap;
 

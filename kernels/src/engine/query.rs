@@ -10,8 +10,8 @@ use crate::stages::tree_cut::{Cutter, LEAF_LEVEL_SHIFT, LEAF_NUMBER};
 use crate::stages::{curve, distribution, probe, slice};
 use crate::tree::{TreeCut, max_move};
 use crate::{
-    Cancel, Cut, CutParams, Engine, Error, Level, Pyramid, REGION_CELLS, Result, SampleType, TreeGoal, VertexTree,
-    Volume,
+    Cancel, CurvePoint, Cut, CutParams, Engine, Error, Level, Pyramid, REGION_CELLS, Result, SampleType, TreeGoal,
+    VertexTree, Volume,
 };
 use std::sync::Arc;
 
@@ -77,17 +77,6 @@ pub struct DistributionCounts {
     pub all: Vec<u32>,
     /// Those of `all` whose leaf represents other vertices too.
     pub coarse: Vec<u32>,
-}
-
-/// A cut of a curve.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct CurvePoint {
-    /// Tolerance or β.
-    pub threshold: f32,
-    /// Triangles of its surface.
-    pub triangles: u64,
-    /// Estimated error, root mean square in world units.
-    pub rms: f32,
 }
 
 impl Engine {

@@ -83,7 +83,7 @@ pub struct View {
     /// Whether the surface follows the camera.
     pub detail: Detail,
     /// Camera for which the surface is made.
-    pub camera: Option<CameraJson>,
+    pub camera: Option<Box<CameraJson>>,
 }
 
 /// Checks that `field` is a field of the volume, or an expression over its fields.
@@ -232,7 +232,7 @@ impl View {
                     why: view.has_no_tree_cut("given"),
                 });
             }
-            view.camera = Some(camera.clone());
+            view.camera = Some(Box::new(camera.clone()));
         }
         Ok(view)
     }
@@ -463,7 +463,7 @@ impl View {
     /// Returns the camera that the surface follows: none if β decides, or if every part is to be fine alike.
     pub fn camera_in_force(&self) -> Option<&CameraJson> {
         let follows = self.detail == Detail::View && self.is_by_error();
-        self.camera.as_ref().filter(|_| follows)
+        self.camera.as_deref().filter(|_| follows)
     }
 
     /// Returns β, if β decides: the one that was fitted to the budget, or else the view's own.
@@ -520,7 +520,7 @@ impl View {
             transfer_function: Some(self.transfer_function.clone()),
             interest: Some(self.interest.clone()),
             detail: Some(self.detail),
-            camera: self.camera.clone(),
+            camera: self.camera.as_deref().cloned(),
         }
     }
 }

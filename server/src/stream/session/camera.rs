@@ -79,7 +79,7 @@ impl SurfaceSession {
         let Some(held) = &self.shown else { return false };
         let is_tree_cut = held.view.fitted.is_some_and(|fitted| fitted.is_tree_cut);
         let mut view = held.view.clone();
-        view.camera = camera.cloned();
+        view.camera = camera.cloned().map(Box::new);
         is_tree_cut && self.failed.is_none() && view.camera_in_force() != held.view.camera_in_force()
     }
 

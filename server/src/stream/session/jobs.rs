@@ -44,7 +44,7 @@ const MAX_BATCHES: usize = 2;
 
 /// A finished device job, with the number of the `open` or of the generation for which it was queued.
 pub(super) enum DeviceDone {
-    Opened(u32, Result<Opening, WorkError>),
+    Opened(u32, Result<Box<Opening>, WorkError>),
     Counted(u32, Outcome<FullCount>),
     Refined(u32, Outcome<Offered>),
     Improved(u32, Outcome<Option<Offered>>),
@@ -74,7 +74,7 @@ impl<B: Backend> Session<B> {
     pub(super) fn on_device(&mut self, done: DeviceDone) {
         match done {
             DeviceDone::Opened(open, result) if open == self.opens => match result {
-                Ok(opening) => self.on_opened(opening),
+                Ok(opening) => self.on_opened(*opening),
                 Err(error) => {
                     self.opened = None;
                     self.questions.clear();
@@ -521,7 +521,7 @@ impl<B: Backend> Session<B> {
                 Ok(view) => backend.open(&volume, &view, &token, &progress).await,
                 Err(error) => Err(error.into()),
             };
-            DeviceDone::Opened(open, result)
+            DeviceDone::Opened(open, result.map(Box::new))
         }));
     }
 }

@@ -123,7 +123,7 @@ impl SurfaceSession {
     pub(super) fn view_for(&self, camera: Option<CameraJson>) -> View {
         View {
             budget: self.view.budget.and(self.allotted.or(self.view.budget)),
-            camera,
+            camera: camera.map(Box::new),
             ..self.view.clone()
         }
     }

@@ -1,5 +1,6 @@
 //! The session against a scripted device: the test answers each job itself, so every order of events can be played.
 
+mod camera;
 mod edits;
 mod faults;
 mod groups;

@@ -30,7 +30,7 @@ fn unmeasured(mut viewer: Viewer) -> Viewer {
 }
 
 /// A leader who shows a surface of this isovalue, and its group.
-async fn leader(common: &Common, iso: f32) -> (Viewer, String) {
+pub(super) async fn leader(common: &Common, iso: f32) -> (Viewer, String) {
     let leader = Viewer::among(common, Identity::without_token()).open().await;
     let mut leader = unmeasured(leader);
     leader.say(&json!({"type": "edit", "iso": iso}).to_string()).await;
@@ -48,7 +48,7 @@ async fn leader(common: &Common, iso: f32) -> (Viewer, String) {
 }
 
 /// A follower that has received the leader's surface of this isovalue.
-async fn follower(common: &Common, who: Identity, group: &str, iso: f32) -> Viewer {
+pub(super) async fn follower(common: &Common, who: Identity, group: &str, iso: f32) -> Viewer {
     let mut follower = unmeasured(Viewer::among(common, who));
     follower
         .say(&json!({"type": "join", "group": group, "name": "Ann"}).to_string())

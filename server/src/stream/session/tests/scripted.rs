@@ -6,8 +6,9 @@ use std::time::Duration;
 use isopeel_extraction::{
     self, CutId, FullCount, Measurement, Question, Refinement, Shown, ShownSurface, Step, WorkError,
 };
-use isopeel_kernels::{Level, Region, Surface, SurfaceStatistics, Vertex};
+use isopeel_kernels::{Level, Region, Surface, SurfaceStatistics, Topology, Vertex};
 use isopeel_view::View;
+use isopeel_view::quality::Fitted;
 use isopeel_volumes::{Dataset, VolumeStep, testing};
 use serde_json::value::RawValue;
 use tokio::sync::{mpsc, oneshot, watch};
@@ -212,6 +213,7 @@ pub(super) struct Answer {
     regions: Vec<Region>,
     full_triangles: u64,
     triangles: u64,
+    is_tree_cut: bool,
 }
 
 impl Answer {
@@ -226,6 +228,15 @@ impl Answer {
             triangles: regions.len() as u64,
             regions,
             full_triangles: 1000,
+            is_tree_cut: false,
+        }
+    }
+
+    /// Reports that the surface is a cut of the vertex tree.
+    pub(super) fn of_tree(self) -> Self {
+        Self {
+            is_tree_cut: true,
+            ..self
         }
     }
 
@@ -314,7 +325,16 @@ impl Answer {
                 regions: answer.regions,
                 statistics,
             },
-            view: view.clone(),
+            view: View {
+                fitted: answer.is_tree_cut.then_some(Fitted {
+                    threshold: 1.0,
+                    topology: Topology::Preserve,
+                    triangles: answer.triangles,
+                    is_tree_cut: true,
+                    pixels: None,
+                }),
+                ..view.clone()
+            },
             cut: CutId::new(answer.cut),
             target: Some(CutId::new(1000)),
             is_final: answer.is_final,

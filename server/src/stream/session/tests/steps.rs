@@ -51,6 +51,7 @@ async fn steps_come_coarse_first_and_end_with_the_statistics() {
         "featureRange",
         "fullTriangles",
         "mesherTriangles",
+        "pixels",
         "removedParts",
         "removedTriangles",
         "unmatchedPositions",
