@@ -1,4 +1,4 @@
-//! `isopeel bench --case stream` on a small volume: every line is there, complete, and within its budget.
+//! `isopeel bench --case stream` and `--case camera` on small volumes: every line is there, complete, and within its budget.
 
 use serde_json::Value;
 
@@ -23,8 +23,8 @@ const EDITS: [(&str, &[&str]); 13] = [
     ("resident time step", &SETTINGS),
 ];
 
-fn bench(arguments: &[&str]) -> Vec<Value> {
-    let text = command::succeed(["bench", "--case", "stream"].iter().chain(arguments));
+fn bench(case: &str, arguments: &[&str]) -> Vec<Value> {
+    let text = command::succeed(["bench", "--case", case].iter().chain(arguments));
     text.lines()
         .map(|line| serde_json::from_str(line).expect("a JSON object"))
         .collect()
@@ -47,16 +47,8 @@ fn every_edit_is_timed_at_every_setting() {
     if !server::has_device() {
         return;
     }
-    let lines = bench(&[
-        "--volume",
-        "sin",
-        "--size",
-        "32",
-        "--repeats",
-        "2",
-        "--drag-seconds",
-        "0.5",
-    ]);
+    let small = ["--volume", "sin", "--size", "32", "--repeats", "2"];
+    let lines = bench("stream", &[&small[..], &["--drag-seconds", "0.5"]].concat());
     assert!(lines[0]["device"].is_string(), "{}", lines[0]);
     for (edit, settings) in EDITS {
         for setting in SETTINGS {
@@ -120,6 +112,59 @@ fn check(line: &Value) {
 
 fn as_text(value: &Value) -> &str {
     value.as_str().expect("text")
+}
+
+#[test]
+fn every_motion_of_the_camera_is_timed() {
+    if !server::has_device() {
+        return;
+    }
+    const BUDGET: f64 = 5000.0;
+    let arguments = [
+        "--volume",
+        "sin",
+        "--size",
+        "96",
+        "--repeats",
+        "2",
+        "--triangles",
+        "5000",
+    ];
+    let lines = bench("camera", &arguments);
+    let find = |motion: &str, distance: Option<&str>| {
+        let of = |line: &&Value| line["motion"] == motion && line.get("distance").and_then(Value::as_str) == distance;
+        let found: Vec<&Value> = lines.iter().filter(of).collect();
+        assert_eq!(found.len(), 1, "{motion} {distance:?}");
+        assert_eq!(found[0]["case"], "camera");
+        assert!(number(found[0], "triangles") <= BUDGET, "{}", found[0]);
+        found[0]
+    };
+    for (motion, distance, cameras) in [
+        ("rest", None, 2.0),
+        ("rest, measuring", None, 2.0),
+        ("orbit", Some("far"), 18.0),
+        ("orbit", Some("near"), 18.0),
+        ("dolly", None, 20.0),
+    ] {
+        let line = find(motion, distance);
+        assert_eq!(number(line, "cameras"), cameras, "{line}");
+        let (done, wall, device) = (best(line, "done_ms"), best(line, "wall_ms"), best(line, "device_ms"));
+        assert!(done > wall && wall > 0.0 && device > 0.0, "{line}");
+        let resent = number(line, "resent_fraction");
+        assert!(0.0 < resent && resent <= 1.0, "{line}");
+        assert!(number(line, "encoded_bytes") > 0.0, "{line}");
+    }
+    for distance in ["far", "near"] {
+        let line = find("moving", Some(distance));
+        assert!(number(line, "generations_per_second") > 0.0, "{line}");
+        assert!(number(line, "longest_gap_ms") > 0.0, "{line}");
+    }
+}
+
+#[test]
+fn files_to_look_at_exist() {
+    let message = command::fail(["bench", "--case", "camera", "--file", "none.nrrd"]);
+    assert!(message.contains("none.nrrd"), "{message}");
 }
 
 #[test]

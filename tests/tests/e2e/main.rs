@@ -10,6 +10,7 @@ mod batch_requests;
 mod bench;
 mod budgets;
 mod bytes;
+mod cameras;
 mod command_line;
 mod crowd;
 mod documentation;

@@ -1,4 +1,4 @@
-//! The cases of the benchmark, except `stream`: times them and prints their lines.
+//! The cases of the benchmark, except `stream` and `camera`: times them and prints their lines.
 
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};

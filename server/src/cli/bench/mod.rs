@@ -3,8 +3,8 @@
 //! The volumes are generated on the device. Before a case is timed, its counts are compared with counts by the host ([`reference`]); a
 //! wrong count ends the benchmark. Each line of the output is a JSON object. The first line describes the device.
 //!
-//! [`stream`] times the whole path from an edit of a viewer to its frames. [`cases`] times the parts of this path on the device and in the
-//! encoder.
+//! [`stream`] times the whole path from an edit of a viewer to its frames, and `stream::camera` that from a camera. [`cases`] times the
+//! parts of this path on the device and in the encoder.
 
 mod cases;
 mod reference;
@@ -17,7 +17,7 @@ use std::path::PathBuf;
 use clap::ValueEnum;
 use isopeel_codec::encode::EncodeError;
 use isopeel_kernels::{CutParams, Topology};
-use isopeel_view::quality::MesherName;
+use isopeel_view::quality::{ErrorLimit, MesherName};
 use serde::Serialize;
 
 use crate::cli::device::{DeviceArgs, NoDevice};
@@ -58,7 +58,23 @@ pub struct Args {
     #[arg(long, value_name = "S", default_value_t = 4.0, value_parser = drag_seconds)]
     drag_seconds: f64,
 
-    /// Mesher
+    /// Files that `camera` shows in place of the generated volumes
+    #[arg(long, value_name = "PATH", num_args = 1..)]
+    file: Vec<PathBuf>,
+
+    /// Isovalue of the files [default: the one that each opens with]
+    #[arg(long, value_name = "V", allow_negative_numbers = true, requires = "file")]
+    iso: Option<f32>,
+
+    /// Budget of triangles of `camera`
+    #[arg(long, value_name = "N", default_value_t = 150_000, value_parser = clap::value_parser!(u64).range(1..))]
+    triangles: u64,
+
+    /// Error of `camera`: pixels (1px), spacings (0.1vx) or world units
+    #[arg(long, value_name = "E", default_value = "1px")]
+    error: ErrorLimit,
+
+    /// Mesher; `camera` always uses dual
     #[arg(long, value_enum, default_value_t = MesherName::Dual)]
     mesher: MesherName,
 
@@ -108,6 +124,8 @@ enum CaseName {
     Bytes,
     /// Every edit of a viewer through a socket of the server, and drags
     Stream,
+    /// Surfaces that follow a viewer's camera through a socket of the server
+    Camera,
 }
 
 /// What is edited in `stream`.
@@ -140,9 +158,10 @@ impl Args {
         self.case.is_empty() || self.case.contains(&case)
     }
 
-    /// Whether a case other than `stream` was chosen.
+    /// Whether a case other than `stream` and `camera` was chosen.
     fn wants_stages(&self) -> bool {
-        self.case.is_empty() || self.case.iter().any(|&case| case != CaseName::Stream)
+        let is_stage = |case: &CaseName| !matches!(case, CaseName::Stream | CaseName::Camera);
+        self.case.is_empty() || self.case.iter().any(is_stage)
     }
 }
 
@@ -318,16 +337,20 @@ pub fn run(args: &Args) -> Result<(), BenchError> {
         .iter()
         .flat_map(|name| name.recipes(&args.size, &args.types))
         .collect();
+    let files = stream::camera::open(&args.file)?;
     stages(args, &recipes)?;
-    // Comes last, after `stages` has closed its engine: the server of `stream` has another engine, and PoCL 3.1 fails with two in one
-    // process.
+    // Come last, after `stages` has closed its engine: the server of `stream` and `camera` has another engine, and PoCL 3.1 fails with two
+    // in one process.
     if args.wants(CaseName::Stream) {
         recipes.iter().try_for_each(|recipe| stream::run(args, recipe))?;
+    }
+    if args.wants(CaseName::Camera) {
+        stream::camera::run(args, &recipes, files)?;
     }
     Ok(())
 }
 
-/// Prints the line of the device, saves the volumes if that was requested, and runs all cases except `stream`.
+/// Prints the line of the device, saves the volumes if that was requested, and runs all cases except `stream` and `camera`.
 fn stages(args: &Args, recipes: &[Recipe]) -> Result<(), BenchError> {
     let engine = args.device.open()?;
     let speed = engine.measure()?;

@@ -3,6 +3,7 @@
 //! Server and client run in this process and use the loopback interface, so that the benchmark needs only the binary. No edit is a cache
 //! hit: an isovalue is never used twice, and every other edit differs from the previous one.
 
+pub(super) mod camera;
 mod client;
 mod lines;
 mod server;
@@ -10,16 +11,18 @@ mod server;
 use std::sync::Arc;
 use std::time::Duration;
 
+use isopeel_codec::chunk::ChunkError;
 use isopeel_kernels::SampleType;
 use isopeel_view::quality::{MaxError, MesherName, TopologyName, TriangleBudget};
 use isopeel_view::{Edit, PointJson, TransferFunctionJson};
 use isopeel_volumes::{Dataset, Geometry, ReadError, memory_dataset};
+use tokio::runtime::Runtime;
 
 use super::reference::{Counts, count, equal};
 use super::volumes::Recipe;
 use super::{Args, BenchError, EditName, print, round};
 use crate::serve::ServeError;
-use client::{Client, Streamed};
+use client::{Client, Request, Streamed};
 use lines::{DragLine, StreamLine};
 use server::Server;
 
@@ -48,6 +51,12 @@ pub enum StreamError {
     /// The samples do not make a dataset.
     #[error(transparent)]
     Dataset(#[from] ReadError),
+    /// A chunk has no valid header.
+    #[error(transparent)]
+    Chunk(#[from] ChunkError),
+    /// The surface does not follow the camera.
+    #[error("the surface is empty, or no cut of the vertex tree: only those follow the camera")]
+    NoTreeCut,
 }
 
 /// Generates distinct isovalues around the isovalue of a recipe. Uses multiples of the golden ratio modulo 1, which are spread evenly.
@@ -122,11 +131,7 @@ struct Bench<'a> {
 /// Times the stream of one volume. No other engine may be open.
 pub(super) fn run(args: &Args, recipe: &Recipe) -> Result<(), BenchError> {
     let (dataset, counts) = dataset(args, recipe)?;
-    let runtime = tokio::runtime::Builder::new_multi_thread()
-        .enable_all()
-        .build()
-        .map_err(StreamError::Start)?;
-    runtime.block_on(async {
+    runtime()?.block_on(async {
         let id = dataset.id.clone();
         let server = Server::start(dataset, &args.device).await?;
         let mut client = Client::connect(server.address, &id).await?;
@@ -151,6 +156,11 @@ pub(super) fn run(args: &Args, recipe: &Recipe) -> Result<(), BenchError> {
         drop(bench);
         Ok(server.stop().await?)
     })
+}
+
+fn runtime() -> Result<Runtime, StreamError> {
+    let mut builder = tokio::runtime::Builder::new_multi_thread();
+    builder.enable_all().build().map_err(StreamError::Start)
 }
 
 /// Returns the volume in host memory, and the counts of its surface. Closes the engine that has generated the volume, because PoCL 3.1
@@ -430,7 +440,8 @@ impl Bench<'_> {
             };
             (0..count).map(edit_of).collect()
         };
-        let dragged = self.client.drag(&edits, Duration::from_secs_f64(1.0 / hz)).await?;
+        let requests = edits.iter().map(Request::Edit);
+        let dragged = self.client.drag(requests, Duration::from_secs_f64(1.0 / hz)).await?;
         let edit = if is_isovalue { "isovalue" } else { "beta" };
         print(&DragLine::new(self.args, self.recipe, edit, hz, edits.len(), &dragged))
     }

@@ -5,7 +5,9 @@ use std::net::SocketAddr;
 use std::time::Duration;
 
 use isopeel_client::{Connection, Error, RawFrame};
-use isopeel_view::Edit;
+use isopeel_codec::chunk::ChunkHeader;
+use isopeel_geometry::DVec3;
+use isopeel_view::{CameraJson, Edit};
 use serde::{Deserialize, Serialize};
 use tokio::time::{Instant, timeout, timeout_at};
 
@@ -20,9 +22,10 @@ const QUIET: Duration = Duration::from_secs(2);
 /// A text frame to the server.
 #[derive(Serialize)]
 #[serde(tag = "type", rename_all = "kebab-case")]
-enum Request<'a> {
+pub enum Request<'a> {
     Open { volume: &'a str, step: u32 },
     Edit(&'a Edit),
+    Camera { camera: &'a CameraJson },
 }
 
 /// Fields of a text frame that the client reads.
@@ -32,6 +35,13 @@ struct Reply<'a> {
     kind: &'a str,
     code: Option<String>,
     message: Option<String>,
+}
+
+/// Fields of `prefix` that the client reads.
+#[derive(Deserialize)]
+struct Prefix {
+    regions: u64,
+    unchanged: u64,
 }
 
 /// Fields of `done` that the client reads.
@@ -46,6 +56,7 @@ struct Done {
 pub struct Statistics {
     pub beta: Option<f32>,
     pub tolerance: Option<f32>,
+    pub is_tree_cut: bool,
     pub full_triangles: u64,
     pub triangles: u64,
     pub vertices: u64,
@@ -71,6 +82,10 @@ pub struct Streamed {
     /// Time to `done`.
     pub done: Duration,
     pub prefixes: u64,
+    /// Regions of the last prefix that were sent.
+    pub regions: u64,
+    /// Regions of the last prefix that the client kept.
+    pub unchanged: u64,
     pub chunks: u64,
     pub bytes: u64,
     pub statistics: Statistics,
@@ -141,9 +156,46 @@ impl Client {
 
     /// Sends an edit, and reads until its `done`.
     pub async fn edit(&mut self, edit: &Edit) -> Result<Streamed, StreamError> {
+        self.request(&Request::Edit(edit)).await
+    }
+
+    /// Sends a camera that differs from the previous one, and reads until the `done` of its generation. The shown surface is a tree cut.
+    pub async fn camera(&mut self, camera: &CameraJson) -> Result<Streamed, StreamError> {
+        self.request(&Request::Camera { camera }).await
+    }
+
+    async fn request(&mut self, request: &Request<'_>) -> Result<Streamed, StreamError> {
         let start = Instant::now();
-        self.connection.send(&Request::Edit(edit)).await?;
+        self.connection.send(request).await?;
         self.read_to_done(start).await
+    }
+
+    /// Sends an edit, and reads until a tree cut is shown, which may follow at rest. Returns the bounding box of the surface in index
+    /// space: lower and upper corner.
+    ///
+    /// # Errors
+    /// The surface is empty, or a cut of cubes although the viewer rests.
+    pub async fn tree_cut(&mut self, edit: &Edit) -> Result<[DVec3; 2], StreamError> {
+        self.connection.send(&Request::Edit(edit)).await?;
+        let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+        loop {
+            let text = match self.next_frame().await? {
+                RawFrame::Chunk(chunk) => {
+                    let header = ChunkHeader::parse(&chunk)?;
+                    if header.vertex_count > 0 {
+                        low = low.min(DVec3::from(header.min.map(f64::from)));
+                        high = high.max(DVec3::from(header.max.map(f64::from)));
+                    }
+                    continue;
+                }
+                RawFrame::Text(text) => text,
+            };
+            match kind(&text)? {
+                "done" if statistics(&text)?.is_tree_cut && low.is_finite() => return Ok([low, high]),
+                "measured" => return Err(StreamError::NoTreeCut),
+                _ => {}
+            }
+        }
     }
 
     /// Opens another time step, sends an edit without waiting, which the protocol allows, and reads until its `done`.
@@ -168,6 +220,11 @@ impl Client {
             let now = start.elapsed();
             match kind(&text)? {
                 "opened" => streamed.opened = Some(now),
+                "prefix" => {
+                    let prefix: Prefix = serde_json::from_str(&text).map_err(Error::from)?;
+                    streamed.regions = prefix.regions;
+                    streamed.unchanged = prefix.unchanged;
+                }
                 "committed" => {
                     streamed.prefixes += 1;
                     streamed.first.get_or_insert(now);
@@ -182,14 +239,18 @@ impl Client {
         }
     }
 
-    /// Sends edits at regular intervals while it reads frames, then reads until the server has settled.
-    pub async fn drag(&mut self, edits: &[Edit], interval: Duration) -> Result<Dragged, StreamError> {
+    /// Sends edits or cameras at regular intervals while it reads frames, then reads until the server has settled.
+    pub async fn drag(
+        &mut self,
+        requests: impl IntoIterator<Item = Request<'_>>,
+        interval: Duration,
+    ) -> Result<Dragged, StreamError> {
         let mut dragged = Dragged::default();
         let start = Instant::now();
         let (mut last_edit, mut last_commit, mut due) = (start, start, start);
-        for edit in edits {
+        for request in requests {
             last_edit = Instant::now();
-            self.connection.send(&Request::Edit(edit)).await?;
+            self.connection.send(&request).await?;
             due += interval;
             while let Ok(frame) = timeout_at(due, self.connection.next()).await {
                 if dragged.count(&frame?, last_edit)? {

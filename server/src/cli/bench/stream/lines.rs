@@ -58,11 +58,6 @@ impl<'a> StreamLine<'a> {
             let times: Vec<f64> = runs.iter().filter_map(time_of).map(milliseconds).collect();
             (!times.is_empty()).then(|| Spread::of(times))
         };
-        let best = runs
-            .iter()
-            .min_by(|a, b| a.statistics.device_ms().total_cmp(&b.statistics.device_ms()));
-        let mut stages_ms = best.map_or_else(BTreeMap::new, |run| run.statistics.stages_ms.clone());
-        stages_ms.values_mut().for_each(|time| *time = round(*time));
         let last = runs.last().cloned().unwrap_or_default();
         Self {
             volume: &recipe.name,
@@ -79,7 +74,7 @@ impl<'a> StreamLine<'a> {
             done_ms: spread(&|run| milliseconds(run.done)),
             wall_ms: spread(&|run| run.statistics.wall_ms),
             device_ms: spread(&|run| run.statistics.device_ms()),
-            stages_ms,
+            stages_ms: best_stages_ms(runs),
             beta: last.statistics.beta,
             tolerance: last.statistics.tolerance,
             prefixes: last.prefixes,
@@ -134,6 +129,16 @@ impl<'a> DragLine<'a> {
     }
 }
 
-fn milliseconds(time: Duration) -> f64 {
+/// Returns the device time of each stage in the run with the best device time.
+pub(super) fn best_stages_ms(runs: &[Streamed]) -> BTreeMap<String, f64> {
+    let best = runs
+        .iter()
+        .min_by(|a, b| a.statistics.device_ms().total_cmp(&b.statistics.device_ms()));
+    let mut stages_ms = best.map_or_else(BTreeMap::new, |run| run.statistics.stages_ms.clone());
+    stages_ms.values_mut().for_each(|time| *time = round(*time));
+    stages_ms
+}
+
+pub(super) fn milliseconds(time: Duration) -> f64 {
     round(time.as_secs_f64() * 1e3)
 }

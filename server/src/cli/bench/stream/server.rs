@@ -1,4 +1,4 @@
-//! The server that the case `stream` measures, on a free port of this machine.
+//! The server that the cases `stream` and `camera` measure, on a free port of this machine.
 
 use std::net::SocketAddr;
 
