@@ -95,7 +95,7 @@ test("a story is played with a moving camera, and recorded", { timeout: 6 * TIME
   await page.getByRole("button", { name: "Play", exact: true }).click();
   await page.locator(".telling").getByText("From the front").waitFor();
   await page.locator(".telling").getByText("Smaller").waitFor();
-  await settled(page, (now) => now.edit.iso === 6);
+  await page.waitForFunction(() => window.isopeel.status.edit.iso === 6);
   await saveScreenshot(page, "story-telling");
   // On its way between the two bookmarks.
   const ways = new Set();

@@ -2,6 +2,8 @@
 
 import { acknowledgeFrames } from "./wiring/acknowledging";
 import { isEdit, isShared, otherActions, stateActions } from "./wiring/actions";
+import { makeQuestions } from "./wiring/asking";
+import { Cameras } from "./wiring/cameras";
 import { AddressLink } from "./state/addressLink";
 import { Comparison } from "./wiring/comparison";
 import { Connecting } from "./wiring/connecting";
@@ -16,12 +18,13 @@ import { StreamClient } from "./net/streamClient";
 import { Marks } from "./wiring/marks";
 import { Outputs } from "./wiring/outputs";
 import type { StreamMessage, VolumeSummary } from "./protocol/types";
-import { Questions } from "./questions/questions";
+import type { Questions } from "./questions/questions";
 import { RegionPipeline } from "./regions/pipeline";
 import { statusOf } from "./wiring/status";
 import { FileUploads } from "./wiring/uploading";
 import { Timeline } from "./wiring/timeline";
 import type { Storyteller } from "./wiring/storyteller";
+import { pixelRatio } from "./scene/quality";
 import { SurfaceRenderer } from "./scene/renderer";
 import { withRanges } from "./state/featureRanges";
 import { isAboutGroup } from "./state/group";
@@ -33,9 +36,9 @@ import { Store } from "./state/store";
 import { isAboutQuestion } from "./state/answers";
 import { distancesOf } from "./state/distances";
 import { shownErrors } from "./state/shownErrors";
-import { isFrameDue, isWorking, showsFinal } from "./state/viewer";
+import { isCameraAwaited, isFollowingCamera, isFrameDue, isWorking, showsFinal } from "./state/viewer";
 import type { UserEvent } from "./state/work";
-import { SlicePlanes, slicesWanted, slicingAt } from "./wiring/slicePlanes";
+import { SlicePlanes, slicesWanted } from "./wiring/slicePlanes";
 import { Together } from "./wiring/together";
 import { Model } from "./ui/model";
 import { showPage } from "./ui/page";
@@ -52,6 +55,7 @@ export class App {
   private readonly model = this.makeModel();
   private readonly scene: SurfaceRenderer;
   private readonly framing: Framing;
+  private readonly cameras: Cameras;
   private readonly display: Display;
   private readonly outputs: Outputs;
   private readonly comparison: Comparison;
@@ -85,19 +89,22 @@ export class App {
     this.scene = this.makeScene(viewport);
     this.framing = new Framing(this.scene, () => this.address.writeSoon());
     this.display = new Display(this.scene, this.base, (reason) => this.model.toast(reason), this.store.isEmbedded);
-    this.outputs = new Outputs(this.model, this.store, this.scene, this.base);
     this.marks = new Marks(this.scene);
     this.planes = new SlicePlanes(this.model.slices.set, this.base);
     this.comparison = new Comparison(this.scene, this.store, (comparing) => this.change({ type: "compare", comparing }));
     this.pipeline = this.makePipeline();
-    this.summing = new Summing(this.store, this.model, this.pipeline);
+    const isStill = () => this.cameras.isStill;
+    this.summing = new Summing(this.store, this.model, this.pipeline, isStill);
     this.client = this.makeClient();
-    this.questions = this.makeQuestions(viewport);
     this.model.onGpu = this.scene.onGpu;
     this.connecting = new Connecting(this.model, this.base, (volumes) => this.showVolumes(volumes), () => this.embedding?.refused());
     this.uploads = new FileUploads(this.store, this.model, this.base, () => this.connecting.loadVolumes());
     const { store, model, scene, framing, pipeline, client } = this;
-    const around = { store, model, scene, framing, isSettled: () => this.settled, link: () => this.link(), follow: (link: Link) => this.follow(link), base, reconnect: () => client.reconnect() };
+    const cameras = new Cameras({ store, scene, pixelRatio, framing, client, isLed: () => this.together.isCameraLed, isSettled: () => this.settled, onStill: () => this.later.soon() });
+    this.cameras = cameras;
+    this.outputs = new Outputs(model, store, scene, cameras, base);
+    this.questions = makeQuestions({ store, model, scene, client, act: (event) => this.act(event), isStill }, viewport);
+    const around = { store, model, scene, framing, cameras, isSettled: () => this.settled, link: () => this.link(), follow: (link: Link) => this.follow(link), base, reconnect: () => client.reconnect() };
     this.storyteller = once(async () => new (await import("./wiring/storyteller")).Storyteller({ ...around, decode: decodeLink, encode: encodeLink }));
     this.timeline = new Timeline({ ...around, pipeline, questions: this.questions, change: (event) => this.change(event), open: (volume, step) => this.open(volume, step) });
     this.together = this.makeTogether(viewport);
@@ -119,7 +126,7 @@ export class App {
         if (this.together.mayChange()) this.open(id, stepOf(store.state, id));
       },
       ...stateActions(store, (event) => this.act(event)),
-      ...otherActions(() => ({ store, model: this.model, framing: this.framing, base: this.base }), () => this.address.write()),
+      ...otherActions(() => ({ store, model: this.model, framing: this.framing, cameras: this.cameras, base: this.base }), () => this.address.write()),
       group: (act) => this.together.act(act),
       story: (act) => act.type !== "add" && !this.together.mayChange() ? undefined : void this.storyteller().then((teller) => teller.act(act)),
       measureOverTime: (run) => this.together.mayChange() && this.timeline.measure(run),
@@ -207,20 +214,6 @@ export class App {
     });
   }
 
-  /** @param viewport parent of the scene's canvas */
-  private makeQuestions(viewport: HTMLElement): Questions {
-    const { store, model, scene, client } = this;
-    const questions = new Questions(store, (question) => client.ask(question), ([x, y]) => scene.pick(x, y, store.viewer.selected), {
-      showProbe: model.probe.set,
-      addPoint: (x) => model.picked.set({ x }),
-      act: (event) => this.act(event),
-      point: (position) => this.act({ type: "page", layers: { slicing: slicingAt(store, position) } }),
-      say: (text) => model.toast(text, "brief"),
-    });
-    questions.listen(viewport);
-    return questions;
-  }
-
   /** @param wish the values of a link for the volume */
   private open(volume: string, step: number, wish?: Link): void {
     const { store, scene } = this;
@@ -301,6 +294,8 @@ export class App {
       case "measured":
         break;
       case "done":
+        this.cameras.changed();
+        if (isFollowingCamera(this.store.viewer)) return this.later.soon();
         this.model.clearErrors();
         break;
       case "error":
@@ -370,7 +365,9 @@ export class App {
     const { store, scene, client, base } = this;
     acknowledgeFrames(before, { store, scene, client, base });
     this.together.changed();
-    if (isFrameDue(before)) this.refresh();
+    this.cameras.changed();
+    if (isFrameDue(before)) this.later.soon();
+    if (isFrameDue(before) && !isFollowingCamera(before)) this.refresh();
     // The camera may have moved.
     else this.address.writeSoon();
   }
@@ -378,15 +375,17 @@ export class App {
   /** The server is done, and all of it is on screen. */
   private get settled(): boolean {
     const { viewer } = this.store;
-    return viewer.connection === "connected" && this.client.ready && showsFinal(viewer) && !this.busy;
+    return viewer.connection === "connected" && this.client.ready && showsFinal(viewer) && !this.busy && this.pipeline.settled && !this.cameras.isDue && !isCameraAwaited(viewer);
   }
 
   private get busy(): boolean {
-    return isWorking(this.store.viewer) || this.client.dirty || !this.pipeline.settled;
+    const { viewer } = this.store;
+    return isWorking(viewer) || this.client.dirty || (!this.pipeline.settled && !isFollowingCamera(viewer));
   }
 
   private refresh(): void {
     this.later.done();
+    this.cameras.changed();
     this.questions.follow();
     this.summing.follow();
     this.comparison.advance(this.settled);

@@ -34,7 +34,7 @@ function comparisonOf() {
 test("the full surface is fetched, kept, and the values in force come back", () => {
   const { comparison, scene, calls, sent, states } = comparisonOf();
   comparison.start("full");
-  expect(sent).toEqual([{ ...OPENING, error: undefined, triangles: { share: 1 } }]);
+  expect(sent).toEqual([{ ...OPENING, error: undefined, triangles: { share: 1 }, detail: "uniform" }]);
   comparison.advance(false);
   expect([calls, states]).toEqual([[], ["waiting"]]);
   scene.levelTriangles = [1200, 0];

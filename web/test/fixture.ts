@@ -67,7 +67,7 @@ export const OPENING: View = {
   featureRange: [0, 1],
   alpha: 0.6,
   beta: undefined,
-  error: "0.1vx",
+  error: "1px",
   triangles: { share: 0.25, max: 1_000_000 },
   bytes: undefined,
   minPart: 0,
@@ -75,6 +75,7 @@ export const OPENING: View = {
   maxError: "auto",
   topology: "auto",
   mesher: "dual",
+  detail: "view",
   cap: false,
   maxLevel: 5,
   transferFunction: {
@@ -199,6 +200,7 @@ class Viewer {
         this.surfaces.delete(message.surface);
         return this.send({ type: "removed", surface: message.surface });
       case "drawn":
+      case "camera":
         return;
       case "probe":
       case "distribution":
@@ -365,6 +367,7 @@ export function statistics(triangles: number): Statistics {
     isTreeCut: true,
     error: null,
     estimatedError: { rms: 0.05, worstLeaf: 0.2 },
+    pixels: null,
     fullTriangles: 4 * triangles,
     mesherTriangles: null,
     removedParts: null,

@@ -63,6 +63,7 @@ class Page {
         this.page.change((store) => store.dispatch(event));
         this.questions.follow();
       },
+      isStill: () => true,
       say: (text) => this.said.push(text),
     });
     this.questions.listen(this.viewport as unknown as HTMLElement);

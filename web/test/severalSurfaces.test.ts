@@ -109,7 +109,7 @@ describe("the store's surfaces", () => {
     open(store, "ball");
     store.addSurface(5);
     store.edit({ triangles: 900 });
-    expect(store.surfaces.map(({ view }) => [view.triangles, view.error])).toEqual([[900, "0.1vx"], [900, undefined]]);
+    expect(store.surfaces.map(({ view }) => [view.triangles, view.error])).toEqual([[900, "1px"], [900, undefined]]);
     store.edit({ beta: 0.1 });
     expect(store.surfaces.map(({ view }) => [view.triangles, view.beta])).toEqual([[900, undefined], [undefined, 0.1]]);
     store.select(0);
@@ -325,7 +325,7 @@ describe("the stream follows the store", () => {
   test("adding, editing, colouring and removing", async () => {
     change((now) => now.addSurface(5));
     await sent(1);
-    expect(server.received[0]).toMatchObject({ type: "edit", surface: 1, iso: 5, triangles: OPENING.triangles, error: "0.1vx" });
+    expect(server.received[0]).toMatchObject({ type: "edit", surface: 1, iso: 5, triangles: OPENING.triangles, error: "1px" });
     change((now) => now.changeStyle(1, { opacity: 0.5, color: "#123456" }));
     change((now) => now.edit({ transferFunction: { points: OPENING.transferFunction.points.map((point) => ({ ...point, color: "#123456" })) } }));
     change((now) => now.edit({ triangles: 900 }));

@@ -7,7 +7,8 @@
 import { ASKED_CODINGS } from "../protocol/chunk";
 import { parseServerMessage } from "../protocol/messages";
 import { difference, hasBudget, isColorAlone, isNothing, withBudget } from "../protocol/view";
-import type { Capabilities, ClientMessage, Edit, GroupMessage, Question, ServerMessage, StreamMessage, View } from "../protocol/types";
+import type { Capabilities, ClientMessage, Edit, GroupMessage, Question, ServerMessage, StreamMessage, View, ViewCamera } from "../protocol/types";
+import { isEqual } from "../protocol/equal";
 import { Connection, type ConnectionState } from "./connection";
 import { joining, leadingAgain, type Joined, type Leading } from "./leading";
 import { Throttle } from "./throttle";
@@ -47,6 +48,8 @@ export class StreamClient {
   private volume: string | undefined;
   /** Views of surfaces as the server has them, by their numbers: those that it opened with, and what was sent since. */
   private readonly sent = new Map<number, View>();
+  /** Camera that was sent since the last `opened`; `undefined`: none. */
+  private sentCamera: ViewCamera | null | undefined;
   /** The server has answered the last `open`. */
   private opened = false;
   /** The server goes to another step of the open volume without opening it again. */
@@ -84,7 +87,7 @@ export class StreamClient {
     });
   }
 
-  /** Number of text frames sent, without questions, which change nothing. */
+  /** Number of text frames sent, without questions and cameras, which change no values. */
   get framesSent(): number {
     return this.connection.framesSent - this.asked;
   }
@@ -165,6 +168,19 @@ export class StreamClient {
       if (before !== undefined && isColorAlone(difference(before, view), before)) this.sent.set(number, view);
     }
     if (this.edits().length > 0) this.throttle.call();
+  }
+
+  /** Whether the server has to be told this camera. */
+  isNewCamera(camera: ViewCamera | null): boolean {
+    return this.opened && !isEqual(camera, this.sentCamera);
+  }
+
+  /** The camera of the page; null: that of the member in control. Returns whether it was sent: the server has to be told what is new to it. */
+  sendCamera(camera: ViewCamera | null): boolean {
+    if (!this.isNewCamera(camera) || !this.send({ type: "camera", camera })) return false;
+    this.asked += 1;
+    this.sentCamera = camera;
+    return true;
   }
 
   /** The first prefix of a generation is on screen. */
@@ -281,6 +297,7 @@ export class StreamClient {
     // An older server, without a message for time steps, does not send this capability.
     this.canStep = (message.capabilities as Partial<Capabilities>).steps === true;
     this.volume = message.volume.id;
+    this.sentCamera = undefined;
     this.sent.clear();
     if (this.isLed) {
       this.sent.set(0, message.edit);

@@ -31,7 +31,11 @@ export type JobInfo = Immutable<Server.JobInfo>;
 export type UploadInfo = Immutable<Server.UploadInfo>;
 export type UploadList = Immutable<Server.UploadList>;
 
-type EditFields = Immutable<Server.Edit>;
+export type ViewCamera = Immutable<Server.ViewCamera>;
+export type PixelError = Immutable<Server.PixelError>;
+
+/** In the stream a camera is a message of its own. */
+type EditFields = Omit<Immutable<Server.Edit>, "camera">;
 /** `beta` is in force, or `error` and one of `triangles` and `bytes`, or one of these; a feature may have no range. */
 type Optional = "beta" | "error" | "triangles" | "bytes" | "featureRange";
 

@@ -21,6 +21,9 @@ export function withBudget(view: View, { triangles, bytes }: Budget): View {
 /** Whether an error or a budget decides and the vertex tree is cut: parts can be removed. */
 export const cutsTree = (view: View): boolean => view.mesher === "dual" && view.beta === undefined;
 
+/** Whether the surface is made for the camera: what it sees from near is finer. */
+export const followsCamera = (view: View): boolean => cutsTree(view) && view.detail === "view";
+
 /** The edit, with what it disables reset: the other criteria, and the removal of parts if the cut is one of cubes. */
 export function complete(edit: Edit): Edit {
   const { beta, error, triangles, bytes } = edit;

@@ -22,6 +22,8 @@ export interface QuestionPage {
   readonly addPoint: (blended: number) => void;
   /** The crosshair of the slices goes there. */
   readonly point: (position: Vec3) => void;
+  /** Whether the camera is still. While it moves, each surface is soon replaced. */
+  readonly isStill: () => boolean;
   /** Explains why a click did nothing. */
   readonly say: (text: string) => void;
 }
@@ -98,6 +100,8 @@ export class Questions {
    */
   private due(): readonly DueQuestion[] {
     const { isEmbedded, look, surfaces, viewer } = this.store;
+    // The curve is that of all cameras.
+    if (!this.page.isStill()) return isEmbedded ? [] : dueQuestions(viewer, ["curve"]);
     return [...(isEmbedded ? [] : dueQuestions(viewer, ["curve", "distribution"])), ...(look.colorBy === "error" ? dueErrors(viewer, surfaces) : [])];
   }
 

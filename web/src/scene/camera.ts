@@ -14,7 +14,7 @@ import {
   Vector3,
   Vector4,
 } from "three";
-import { homeDirection, type CameraPose, type PoseToRestore, type Projection } from "./pose";
+import { homeDirection, sightOf, type CameraPose, type PoseToRestore, type Projection, type Sight } from "./pose";
 import { Stretch } from "./stretch";
 import { fitDistance, verticalFov, type Vec3 } from "./world";
 import { focused, ZoomGestures, zoomed, type PickPoint, type PlaceInPicture, type Viewpoint, type Zooming } from "./zoom";
@@ -100,6 +100,12 @@ export class SceneCamera implements Zooming {
   get pose(): CameraPose {
     const target = this.controls.getTarget(new Vector3(), false).multiplyScalar(this.unit);
     return { position: this.perspective.position.toArray(), target: this.stretch.undo(target).toArray(), projection: this.projectionInUse };
+  }
+
+  /** What the camera sees at a pose. */
+  sight(pose = this.pose): Sight {
+    const shown = (place: Vec3) => this.stretch.apply(new Vector3(...place));
+    return sightOf(pose, this.fov, shown(pose.position).distanceTo(shown(pose.target)));
   }
 
   /**

@@ -19,6 +19,36 @@ export interface CameraPose {
 /** A pose without a projection keeps the current one. */
 export type PoseToRestore = Pick<CameraPose, "position" | "target"> & Partial<CameraPose>;
 
+/** What a camera sees, apart from its picture's size: either `fov` or `height` is given. */
+export interface Sight {
+  readonly position: Vec3;
+  readonly target: Vec3;
+  /** Up in the picture, if that is not the third axis of the world. */
+  readonly up?: Vec3;
+  /** Vertical field of view, degrees. */
+  readonly fov?: number;
+  /** Height of an orthographic picture at the target, world units. */
+  readonly height?: number;
+}
+
+/** Horizontal share of a direction below which it counts as vertical. */
+const STEEP = 1e-3;
+
+/**
+ * @param fov vertical field of view, radians
+ * @param away distance of the target in the world as it is shown
+ */
+export function sightOf({ position, target, projection }: CameraPose, fov: number, away: number): Sight {
+  const [x, y, z] = [position[0] - target[0], position[1] - target[1], position[2] - target[2]];
+  const level = Math.hypot(x, y);
+  const isSteep = level < STEEP * Math.hypot(level, z);
+  // Exactly above or below, pictures have the first axis at their top or bottom.
+  const [across, along] = level === 0 ? [1, 0] : [x / level, y / level];
+  const up: Vec3 = [-Math.sign(z) * across || 0, -Math.sign(z) * along || 0, 0];
+  const lens = projection === "perspective" ? { fov: (fov * 180) / Math.PI } : { height: 2 * away * Math.tan(fov / 2) };
+  return { position, target, ...(isSteep ? { up } : {}), ...lens };
+}
+
 /** Tilt from the vertical that just suffices for the other two axes to be level. */
 const TILT = 1e-6;
 

@@ -105,3 +105,6 @@ export class AdaptiveQuality {
     [this.slow, this.fast, this.steadyMs] = [0, 0, 0];
   }
 }
+
+/** Pixels of the canvas for one of the page, while the picture is still. */
+export const pixelRatio = (): number => Math.min(window.devicePixelRatio, 2);

@@ -19,7 +19,7 @@ import { Painter } from "./painter";
 import { LAYERS_BY_PROCESSOR, LAYERS_ON_SCREEN } from "./peeling";
 import type { Picked } from "./picking";
 import { axisView, homeDirection } from "./pose";
-import { AdaptiveQuality, type Quality } from "./quality";
+import { AdaptiveQuality, pixelRatio, type Quality } from "./quality";
 import type { RayVolume } from "./rays";
 import type { RegionMesh, RegionMeshData } from "./regionMesh";
 import { Slices, type Slice } from "./slices";
@@ -358,7 +358,7 @@ export class SurfaceRenderer {
   }
 
   private paint(quality: Quality): void {
-    const ratio = quality.pixels * Math.min(window.devicePixelRatio, 2);
+    const ratio = quality.pixels * pixelRatio();
     if (ratio !== this.webgl.getPixelRatio()) this.webgl.setPixelRatio(ratio);
     const { camera, annotations } = this;
     const { width, height } = this.webgl.domElement;

@@ -1,6 +1,7 @@
 /** The command that writes the mesh of a view. Pure. */
 
-import type { Statistics, View } from "../protocol/types";
+import type { Statistics, View, ViewCamera } from "../protocol/types";
+import { followsCamera } from "../protocol/view";
 import { placesOf, type Parts } from "./parts";
 
 const quoted = (text: string) => (/^[\w./:,%+-]+$/.test(text) ? text : `'${text.replaceAll("'", "'\\''")}'`);
@@ -10,8 +11,9 @@ const digits = (n: number) => String(Number(n.toPrecision(9)));
 /**
  * `isopeel extract …` in a POSIX shell. The page does not know the path of the volume's file: the volume's id stands in its place.
  * @param statistics of the surface in force: a share with a limit becomes a number of triangles
+ * @param camera for which the surface is made, if the view follows cameras
  */
-export function commandLine(volume: string, step: number, view: View, statistics: Statistics | undefined): string {
+export function commandLine(volume: string, step: number, view: View, statistics: Statistics | undefined, camera?: ViewCamera): string {
   const options: (readonly (string | undefined)[])[] = [
     ["--iso", digits(view.iso)],
     ["--field", view.field],
@@ -19,6 +21,7 @@ export function commandLine(volume: string, step: number, view: View, statistics
     ["--mask", view.mask ?? undefined],
     ...featureOptions(view),
     ...criterionOptions(view, statistics),
+    ...detailOptions(view, camera),
     ["--min-part", (view.minPart ?? 0) > 0 ? digits(view.minPart ?? 0) : undefined],
     ...placesOf(view.parts).map((place) => [partOption(view.parts), place.map(digits).join(",")]),
     ["--max-error", view.maxError === null ? "none" : String(view.maxError)],
@@ -46,6 +49,14 @@ function criterionOptions({ beta, error, triangles, bytes }: View, statistics: S
   if (bytes !== undefined) options.push(["--bytes", String(bytes)]);
   if (triangles !== undefined) options.push(["--triangles", budget(triangles, statistics)]);
   return options;
+}
+
+function detailOptions(view: View, camera: ViewCamera | undefined): (readonly string[])[] {
+  if (view.detail === "uniform") return [["--detail", "uniform"]];
+  if (camera === undefined || !followsCamera(view)) return [];
+  const { position, target, up = [], fov, height, viewport } = camera;
+  const lens = fov === undefined ? ["--view-height", digits(height ?? 1)] : ["--fov", digits(fov)];
+  return [["--camera", [...position, ...target, ...up].map(digits).join(",")], ["--viewport", viewport.join("x")], lens];
 }
 
 /** The command line knows a number or a share. */

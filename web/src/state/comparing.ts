@@ -14,7 +14,7 @@ export interface Comparing {
   readonly kept: number;
 }
 
-const FULL: Edit = complete({ triangles: { share: 1 } });
+const FULL: Edit = complete({ triangles: { share: 1 }, detail: "uniform" });
 
 /** A view of as many triangles in which everything is as important. */
 function withoutImportance(view: View, triangles: number): View {

@@ -3,7 +3,7 @@
 import type { ServerMessage, Statistics, View } from "../protocol/types";
 import type { Answers } from "./answers";
 
-/** Bytes and times of one generation, from the edit that caused it to its last frame. */
+/** Bytes and times of the last edit, until its last frame. A generation for a camera keeps them. */
 export interface Progress {
   readonly generation: number;
   /** When the edit was sent, by `performance.now()`. */
@@ -36,7 +36,11 @@ export interface SurfaceState {
   readonly finished: number | undefined;
   /** An edit was sent and its generation is not done. */
   readonly working: boolean;
-  /** Of the newest generation. */
+  /** The last generation that is not for a camera. */
+  readonly edited: number | undefined;
+  /** The newest generation when a camera was sent for which the surface is not made yet. */
+  readonly cameraAfter: number | undefined;
+  /** With the number of the newest generation. */
   readonly progress: Progress | undefined;
   readonly shown: ShownPrefix | undefined;
   /** What the server answered the last edit or `open` instead of a surface. */
@@ -51,8 +55,20 @@ export const NEW_SURFACE: SurfaceState = {
   statistics: undefined,
   finished: undefined,
   working: false,
+  edited: undefined,
+  cameraAfter: undefined,
   progress: undefined,
   shown: undefined,
   refusal: undefined,
   frameDue: false,
 };
+
+/** Whether the newest generation is for a camera: the values in force are those of the surface before. */
+export function isForCamera({ edited, progress }: SurfaceState): boolean {
+  return edited !== undefined && progress !== undefined && progress.generation !== edited;
+}
+
+/** Whether a generation for the camera that was sent last is still to come. Only cuts of the vertex tree follow cameras. */
+export function awaitsCamera({ cameraAfter, refusal, statistics }: SurfaceState): boolean {
+  return cameraAfter !== undefined && refusal === undefined && statistics?.isTreeCut === true && statistics.fullTriangles > 0;
+}

@@ -4,7 +4,7 @@ import type { ConnectionState } from "../net/connection";
 import type { Capabilities, Preparation, ServerMessage, View, VolumeInfo, VolumeSummary } from "../protocol/types";
 import { isAboutQuestion, outdated, take, takeDistances } from "./answers";
 import type { Distances } from "./distances";
-import { NEW_SURFACE, type Progress, type ShownPrefix, type SurfaceState } from "./surfaceState";
+import { awaitsCamera, isForCamera, NEW_SURFACE, type Progress, type ShownPrefix, type SurfaceState } from "./surfaceState";
 
 /** A volume at a time step. */
 export interface Target {
@@ -32,6 +32,8 @@ export interface ServerState {
   readonly watches: boolean;
   /** Others can follow. */
   readonly groups: boolean;
+  /** The camera of the member in control has moved since that member's last edit. */
+  readonly isLedByCamera: boolean;
   /** By the numbers of surfaces, which ascend. */
   readonly known: ReadonlyMap<number, SurfaceState>;
   /** Surfaces that the server allows. */
@@ -77,6 +79,8 @@ export type ServerEvent =
   | { readonly type: "volumes"; readonly volumes: readonly VolumeSummary[] }
   /** An edit of a surface was sent. */
   | { readonly type: "sent"; readonly surface: number; readonly at: number }
+  /** A camera was sent, for which the server makes these surfaces. */
+  | { readonly type: "camera"; readonly surfaces: readonly number[] }
   | { readonly type: "message"; readonly message: ServerMessage }
   | { readonly type: "chunk"; readonly bytes: number }
   /** The scene shows a prefix of a surface from the next frame on. */
@@ -86,7 +90,7 @@ export type ServerEvent =
   /** A frame was rendered. */
   | { readonly type: "frame"; readonly at: number };
 
-const SERVER_EVENTS: readonly string[] = ["connection", "volumes", "sent", "message", "chunk", "swap", "distances", "frame"] satisfies ServerEvent["type"][];
+const SERVER_EVENTS: readonly string[] = ["connection", "volumes", "sent", "camera", "message", "chunk", "swap", "distances", "frame"] satisfies ServerEvent["type"][];
 
 export const isOfServer = (event: { readonly type: string }): event is ServerEvent => SERVER_EVENTS.includes(event.type);
 
@@ -102,6 +106,7 @@ export const FIRST_SERVER: ServerState = {
   stepLabel: undefined,
   watches: false,
   groups: false,
+  isLedByCamera: false,
   known: new Map([[0, NEW_SURFACE]]),
   maxSurfaces: 1,
   receiving: 0,
@@ -115,17 +120,19 @@ export const FIRST_SERVER: ServerState = {
 export function reduceServer(state: ServerState, event: ServerEvent, viewed: Viewed): ServerState {
   switch (event.type) {
     case "connection":
-      return everySurface({ ...state, connection: event.state }, (one) => ({ ...one, working: event.state === "connected" && one.working }));
+      return everySurface({ ...state, connection: event.state }, (one) => ({ ...one, working: event.state === "connected" && one.working, cameraAfter: undefined }));
     case "volumes":
       return { ...state, volumes: event.volumes };
     case "sent":
       return inSurface({ ...state, editSentAt: event.at }, event.surface, (one) => ({ ...one, working: true, refusal: undefined, sentView: viewOf(viewed, event.surface) }));
+    case "camera":
+      return cameraSent(state, event.surfaces);
     case "message":
       return receive(state, event.message, viewed.selected);
     case "chunk":
       return inSurface({ ...state, bytesReceived: state.bytesReceived + event.bytes }, state.receiving, (one) => ({
         ...one,
-        progress: one.progress && { ...one.progress, bytes: one.progress.bytes + event.bytes },
+        progress: one.progress && !isForCamera(one) ? { ...one.progress, bytes: one.progress.bytes + event.bytes } : one.progress,
       }));
     case "swap": {
       const { generation, level, final } = event;
@@ -189,9 +196,9 @@ function receive(state: ServerState, message: ServerMessage, selected: number): 
     case "described":
       return state.volume?.id === message.volume.id ? { ...state, volume: message.volume } : state;
     case "prefix":
-      return inSurface({ ...state, receiving: message.surface }, message.surface, (one) => begun(one, message.generation, state.editSentAt));
+      return inSurface({ ...state, receiving: message.surface }, message.surface, (one) => begun(one, message.generation, state));
     case "done":
-      return inSurface(state, message.surface, (one) => ({ ...one, working: false, statistics: message.statistics, finished: message.generation }));
+      return inSurface(state, message.surface, (one) => finished(one, message));
     case "measured":
       return inSurface(state, message.surface, (one) => measured(one, message));
     case "error":
@@ -199,9 +206,11 @@ function receive(state: ServerState, message: ServerMessage, selected: number): 
     case "removed":
       // If there is a surface of that number, the user has made it again.
       return inSurface(state, message.surface, (one) => ({ ...NEW_SURFACE, sentView: one.sentView, working: true }));
-    case "group":
     case "led":
+      return { ...state, isLedByCamera: false };
     case "posed":
+      return message.camera === undefined ? state : { ...state, isLedByCamera: true };
+    case "group":
     case "left":
     case "heartbeat":
     case "committed":
@@ -219,10 +228,10 @@ function opened(state: ServerState, { volume, device, capabilities }: Extract<Se
   // A server from before there were questions or several surfaces does not name them.
   const { questions = [], surfaces = 1, watches = false, groups = false } = capabilities as Partial<Capabilities>;
   const stepLabel = volume.times?.label;
-  const now = { ...state, ...ANSWERED, volume, stepLabel, device, questions, watches, groups, maxSurfaces: surfaces };
+  const now = { ...state, ...ANSWERED, volume, stepLabel, device, questions, watches, groups, maxSurfaces: surfaces, isLedByCamera: false };
   if (state.volume?.id !== volume.id) return { ...now, known: FIRST_SERVER.known };
   // Another step replaces a surface when it arrives, another volume at once.
-  return everySurface(now, (one) => ({ ...one, sentView: undefined, answers: outdated(one.answers), progress: undefined, finished: undefined }));
+  return everySurface(now, (one) => ({ ...one, sentView: undefined, answers: outdated(one.answers), progress: undefined, finished: undefined, cameraAfter: undefined }));
 }
 
 /** After a time step, all surfaces are computed again; each is replaced when it arrives. */
@@ -231,17 +240,33 @@ function stepped(state: ServerState, label: string | null): ServerState {
   return everySurface(now, (one) => ({ ...one, working: true, answers: outdated(one.answers), progress: undefined, finished: undefined }));
 }
 
-/** After a generation is done, a better surface of the same view may follow: the one on screen is finished all the same. */
-function begun(state: SurfaceState, generation: number, sentAt: number): SurfaceState {
-  return { ...state, working: state.working || generation !== state.finished, progress: progressOf(state, generation, sentAt) };
+function cameraSent(state: ServerState, numbers: readonly number[]): ServerState {
+  const known = [...state.known].map(([number, one]) => {
+    const newest = Math.max(one.progress?.generation ?? 0, one.finished ?? 0);
+    return [number, { ...one, cameraAfter: numbers.includes(number) ? newest : undefined }] as const;
+  });
+  return { ...state, known: new Map(known) };
+}
+
+/** After a generation is done, a better surface of the same view or one for another camera may follow: the one on screen is finished all the same. */
+function begun(state: SurfaceState, generation: number, { editSentAt, isLedByCamera }: ServerState): SurfaceState {
+  const isNew = generation !== state.finished;
+  const isOfCamera = isNew && !state.working && state.finished !== undefined && (awaitsCamera(state) || isLedByCamera);
+  if (isOfCamera) return { ...state, progress: state.progress && { ...state.progress, generation } };
+  return { ...state, working: state.working || isNew, edited: isNew ? generation : state.edited, progress: progressOf(state, generation, editSentAt) };
+}
+
+function finished(state: SurfaceState, { generation, statistics }: Extract<ServerMessage, { type: "done" }>): SurfaceState {
+  const cameraAfter = state.cameraAfter !== undefined && generation > state.cameraAfter ? undefined : state.cameraAfter;
+  return { ...state, working: false, statistics, finished: generation, cameraAfter };
 }
 
 /** An error names its surface if a generation failed. Any other error is about the last edit, or about `open`. */
 function refused(state: ServerState, message: Extract<ServerMessage, { type: "error" }>, selected: number): ServerState {
   const now = { ...state, ...ANSWERED };
-  const fail = (one: SurfaceState): SurfaceState => ({ ...one, working: false, refusal: message });
+  const fail = (one: SurfaceState): SurfaceState => ({ ...one, working: false, refusal: message, cameraAfter: undefined });
   if (message.surface !== undefined) return inSurface(now, message.surface, fail);
-  return inSurface(everySurface(now, (one) => ({ ...one, working: false })), selected, fail);
+  return inSurface(everySurface(now, (one) => ({ ...one, working: false, cameraAfter: undefined })), selected, fail);
 }
 
 /** The statistics get the error that was measured after them. */
@@ -293,4 +318,14 @@ export function isWorking(state: ServerState): boolean {
 /** This generation is not done. */
 export function isUnderWay(state: ServerState, generation: number): boolean {
   return all(state).some(({ working, progress }) => working && progress?.generation === generation);
+}
+
+/** All that changes on screen follows a camera. */
+export function isFollowingCamera(state: ServerState): boolean {
+  return !isWorking(state) && all(state).some(isForCamera);
+}
+
+/** A surface for the camera that was sent last is still to come. */
+export function isCameraAwaited(state: ServerState): boolean {
+  return all(state).some(awaitsCamera);
 }

@@ -9,7 +9,7 @@ import { saveFile } from "./takeAlong";
 import { Button } from "./widgets/button";
 
 /** What is downloaded: the cut that a volume opens with. */
-const DOWNLOADED: Edit = { feature: "gradient-magnitude", alpha: 0.5, error: "0.1vx", triangles: { share: 0.25, max: 1_000_000 } };
+const DOWNLOADED: Edit = { feature: "gradient-magnitude", alpha: 0.5, error: "1px", triangles: { share: 0.25, max: 1_000_000 } };
 
 export function showNoWebGl(root: HTMLElement, base: URL, reason: string): void {
   root.replaceChildren();

@@ -1,7 +1,7 @@
 /** Files and texts that leave the page: the mesh of what is seen, its link, its command line. */
 
 import { extract } from "../net/rest";
-import type { View } from "../protocol/types";
+import type { View, ViewCamera } from "../protocol/types";
 import { commandLine } from "../state/commandLine";
 import { surfaceFileName } from "../state/fileNames";
 import { labelsName } from "../state/labels";
@@ -39,14 +39,14 @@ export function exportedView(viewer: ViewerState, cap: boolean): View | undefine
   return view && { ...view, cap };
 }
 
-/** Of the selected surface. */
-export async function copyCommand(model: Model, store: Store, cap = false): Promise<void> {
+/** Of the selected surface. `camera`: that of the picture, for which it is made. */
+export async function copyCommand(model: Model, store: Store, camera: ViewCamera | undefined, cap = false): Promise<void> {
   const { statistics, target, selected } = store.viewer;
   const view = exportedView(store.viewer, cap);
   if (view === undefined || target === undefined) return;
   const name = surfaceName(store.surfaces, selected);
   const done = `Command${name && ` for ${name}`} copied. Put the volume's file in place of its name`;
-  await copyOut(model, commandLine(target.volume, target.step, view, statistics), done);
+  await copyOut(model, commandLine(target.volume, target.step, view, statistics, camera), done);
 }
 
 /** Has the server make the mesh of the selected surface, and saves it. */

@@ -7,6 +7,7 @@ import type { Actions } from "../ui/actions";
 import type { Model } from "../ui/model";
 import { copyCommand, copyOut, downloadMesh } from "../ui/takeAlong";
 import { downloadAll } from "./allSurfaces";
+import type { Cameras } from "./cameras";
 import type { Framing } from "./framing";
 
 /** The app's parts; the page's actions are made before most of them. */
@@ -14,6 +15,7 @@ interface Parts {
   readonly store: Store;
   readonly model: Model;
   readonly framing: Framing;
+  readonly cameras: Cameras;
   readonly base: URL;
 }
 
@@ -67,7 +69,7 @@ export function otherActions(parts: () => Parts, address: () => string): Pick<Ac
     facing: (normal) => parts().framing.facing(normal),
     address,
     copyLink: () => void copyOut(parts().model, address(), "Link copied"),
-    copyCommand: (cap) => void copyCommand(parts().model, parts().store, cap),
+    copyCommand: (cap) => void copyCommand(parts().model, parts().store, parts().cameras.onScreen, cap),
     downloadAll: (cap) => void downloadAll(parts().model, parts().store, parts().base, cap),
     download: (format, cap) => void downloadMesh(parts().model, parts().store, parts().base, format, cap),
   };

@@ -9,6 +9,7 @@ import { allTriangles } from "../state/counts";
 import { changedLink, decodeLink, encodeLink, type Link, type LinkState } from "../state/link";
 import type { Store } from "../state/store";
 import type { Model } from "../ui/model";
+import type { Cameras } from "./cameras";
 import { EmbedToken } from "./embedToken";
 import type { Framing } from "./framing";
 
@@ -17,6 +18,7 @@ interface EmbeddingParts {
   readonly model: Model;
   readonly scene: SurfaceRenderer;
   readonly framing: Framing;
+  readonly cameras: Cameras;
   /** The state now; `undefined` while there is none to link to. */
   readonly link: () => LinkState | undefined;
   /** The final surface is on screen. */
@@ -75,7 +77,7 @@ export class Embedding {
       this.port.emit({ type: "ready", volumes: volumes.map(({ id, title }) => ({ id, title })) });
     }
     if (!isSettled) return;
-    const surfaces = [...store.viewer.known].map(([number, { shown, statistics }]) => [number, shown?.generation, statistics?.isTreeCut]);
+    const surfaces = [...store.viewer.known].map(([number, { edited, shown, statistics }]) => [number, shown && edited, statistics?.isTreeCut]);
     const now = [target, surfaces];
     if (isEqual(now, this.settled)) return;
     this.settled = now;
@@ -142,6 +144,6 @@ export class Embedding {
     const { scene, store } = this.parts;
     if (scene.regionCount === 0) throw new RequestError("there is no surface to take a picture of yet: wait for the event “settled”");
     const { makeImage } = await import("./imageMaker");
-    return (await makeImage(scene, store, { ...request, slices: false })).blob;
+    return this.parts.cameras.image(request.scale, async (pose) => (await makeImage(scene, store, { ...request, slices: false }, pose)).blob);
   }
 }

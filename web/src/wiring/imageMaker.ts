@@ -3,6 +3,7 @@
 import { colorBarOf } from "./display";
 import { signOf } from "./surfaceSigns";
 import type { ImageParts } from "../image/compose";
+import type { CameraPose } from "../scene/pose";
 import type { SurfaceRenderer } from "../scene/renderer";
 import { withRanges } from "../state/featureRanges";
 import { lengthUnit } from "../state/lengths";
@@ -31,8 +32,8 @@ export interface Made {
 /** Why an image has no scale bar. */
 const WITHOUT_BAR = "without a scale bar, as lengths differ by more than 5 % over its middle: an orthographic view has one";
 
-/** A PNG of what is seen. */
-export async function makeImage(scene: SurfaceRenderer, store: Store, request: ImageRequest, slices: readonly SliceState[] = []): Promise<Made> {
+/** A PNG of what is seen from a pose. */
+export async function makeImage(scene: SurfaceRenderer, store: Store, request: ImageRequest, pose: CameraPose, slices: readonly SliceState[] = []): Promise<Made> {
   const layout = request.slices ? store.page.slicing.layout : "picture";
   const { scale } = request;
   const { drawImage, toPng } = await import("../image/compose");
@@ -40,7 +41,7 @@ export async function makeImage(scene: SurfaceRenderer, store: Store, request: I
   if (layout === "slices" && beside !== undefined) {
     return { blob: await toPng(beside.place(undefined, beside.pictures(store, slices, SLICE_SIDE, scale), SLICE_SIDE * scale, scale)), note: undefined };
   }
-  const snapshot = scene.snapshot({ scale, transparent: true });
+  const snapshot = scene.snapshot({ scale, transparent: true, pose });
   const picture = drawImage(snapshot, imageParts(scene, store, request));
   // On the right of the picture.
   const side = Math.floor(snapshot.height / 3);

@@ -7,6 +7,7 @@ import type { ImageRequest } from "../ui/actions";
 import type { Model } from "../ui/model";
 import { saveFile } from "../ui/takeAlong";
 import { BatchJobs } from "./batchJobs";
+import type { Cameras } from "./cameras";
 import type { Made } from "./imageMaker";
 
 export class Outputs {
@@ -16,6 +17,7 @@ export class Outputs {
     private readonly model: Model,
     private readonly store: Store,
     private readonly scene: SurfaceRenderer,
+    private readonly cameras: Cameras,
     base: URL,
   ) {
     model.jobs = new BatchJobs(store, model, base);
@@ -24,7 +26,7 @@ export class Outputs {
   saveImage(request: ImageRequest): void {
     void this.save("png", async () => {
       const { makeImage } = await import("./imageMaker");
-      return makeImage(this.scene, this.store, request, this.model.slices());
+      return this.cameras.image(request.scale, (pose) => makeImage(this.scene, this.store, request, pose, this.model.slices()));
     });
   }
 

@@ -20,19 +20,28 @@ export function axesOf({ direction, spacing }: Pick<VolumeInfo["geometry"], "dir
 export class Enclosing {
   /** What is on screen of the surface that is summed up: a further object with each change. */
   private of: ShownPrefix | undefined;
+  /** Generation of the last edit of that surface: later ones are for cameras. */
+  private edited: number | undefined;
 
   constructor(
     private readonly store: { readonly viewer: SeenSurface },
     private readonly show: (sums: Enclosed | "summing" | undefined) => void,
     private readonly onError: (reason: string) => void,
     private readonly pipeline: Pick<RegionPipeline, "sum">,
+    private readonly isStill: () => boolean = () => true,
   ) {}
 
   async sum(): Promise<void> {
-    const { shown, selected, volume } = this.store.viewer;
+    const { shown, volume } = this.store.viewer;
     if (shown === undefined || volume === undefined) return;
-    this.of = shown;
     this.show("summing");
+    await this.sumAgain();
+  }
+
+  private async sumAgain(): Promise<void> {
+    const { edited, shown, selected, volume } = this.store.viewer;
+    if (shown === undefined || volume === undefined) return;
+    [this.of, this.edited] = [shown, edited];
     const isOfNow = () => this.of === shown && this.store.viewer.shown === shown;
     try {
       const sums = await this.pipeline.sum(selected, axesOf(volume.geometry), unevenOf(volume.geometry));
@@ -45,12 +54,16 @@ export class Enclosing {
     }
   }
 
-  /** Something may have changed. A better surface of the same values is summed up in its turn. */
+  /** Something may have changed. A better surface of the same values is summed up in its turn, and one for another camera once that is still. */
   follow(): void {
     const { of } = this;
-    const { shown } = this.store.viewer;
+    const { edited, shown } = this.store.viewer;
     if (of === undefined || of === shown) return;
     if (shown?.generation === of.generation) return void this.sum();
+    if (shown !== undefined && edited !== undefined && edited === this.edited) {
+      if (this.isStill()) void this.sumAgain();
+      return;
+    }
     this.of = undefined;
     this.show(undefined);
   }
@@ -69,11 +82,12 @@ export class Summing implements SurfaceSums {
     private readonly store: Store,
     model: Model,
     private readonly pipeline: RegionPipeline,
+    private readonly isStill: () => boolean,
   ) {
     const [known, setKnown] = createSignal<Sums>(new Map());
     [this.known, this.setKnown] = [known, (sums) => setKnown(sums)];
     this.onError = (reason) => model.toast(reason);
-    this.ofSelected = new Enclosing(store, model.enclosed.set, this.onError, pipeline);
+    this.ofSelected = new Enclosing(store, model.enclosed.set, this.onError, pipeline, isStill);
     model.sums = this;
   }
 
@@ -103,7 +117,7 @@ export class Summing implements SurfaceSums {
         return seen(store.state.server, number);
       },
     };
-    const made = new Enclosing(source, (sums) => this.show(number, sums), this.onError, pipeline);
+    const made = new Enclosing(source, (sums) => this.show(number, sums), this.onError, pipeline, this.isStill);
     this.ofEach.set(number, made);
     return made;
   }

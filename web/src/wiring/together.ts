@@ -66,6 +66,11 @@ export class Together {
     return this.around.client.following;
   }
 
+  /** Whether the camera is that of the member in control. */
+  get isCameraLed(): boolean {
+    return this.follows && this.group?.isApart !== true;
+  }
+
   /** Whether the user may change what is shown; else it is said why not. */
   mayChange(): boolean {
     if (this.follows) this.around.model.toast("You are following: ask for control, or leave, to change what is shown", "brief");

@@ -10,17 +10,23 @@ export type Criterion = "error" | "triangles" | "beta";
 /** A tolerance above the error by more than this factor is another one: the server computes with fewer digits. */
 const IS_GREATER = 1.0001;
 
+/** Without a camera, a pixel counts as this many smallest spacings. */
+export const SPACINGS_OF_PIXEL = 0.1;
+
 /** What decides; of an error beside a budget the one whose tolerance is in force. `spacing`: the volume's smallest one. */
 export function criterion(view: View, statistics: Statistics | undefined, spacing: number): Criterion {
   const hasBudget = view.triangles !== undefined || view.bytes !== undefined;
   if (view.error === undefined) return hasBudget ? "triangles" : "beta";
+  // Of a surface for a camera the server says it.
+  if (hasBudget && statistics?.pixels) return statistics.pixels.limitedBy === "budget" ? "triangles" : "error";
   const error = inSpacings(view.error, spacing) * spacing;
   return hasBudget && (statistics?.tolerance ?? 0) > error * IS_GREATER ? "triangles" : "error";
 }
 
-/** A distance, which is a number of world units or text such as `0.1vx`, as multiples of the smallest spacing. */
+/** A distance, which is a number of world units or text such as `0.1vx` or `1px`, as multiples of the smallest spacing. */
 export function inSpacings(distance: number | string, spacing: number): number {
-  const multiples = typeof distance === "number" ? distance / spacing : parseFloat(distance) / (distance.endsWith("vx") ? 1 : spacing);
+  const size = typeof distance === "number" ? spacing : distance.endsWith("px") ? 1 / SPACINGS_OF_PIXEL : distance.endsWith("vx") ? 1 : spacing;
+  const multiples = (typeof distance === "number" ? distance : parseFloat(distance)) / size;
   return Number(multiples.toPrecision(6));
 }
 

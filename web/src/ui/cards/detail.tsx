@@ -2,6 +2,7 @@
 
 import { createMemo, For, lazy, Show, Suspense } from "solid-js";
 import type { Statistics, View } from "../../protocol/types";
+import { cutsTree } from "../../protocol/view";
 import { allTriangles } from "../../state/counts";
 import { budgetEdit, sharedStatistics, sharerCount } from "../../state/sharedBudget";
 import { formatCount, formatLength, formatShare } from "../format";
@@ -10,9 +11,10 @@ import { CurvePlot } from "../plots/curvePlot";
 import { corrected, correctionOf, errorAt, NO_CORRECTION, type Correction } from "../plots/errorCurve";
 import { Button } from "../widgets/button";
 import { NumberField } from "../widgets/numberField";
+import { Toggle } from "../widgets/choice";
 import { Slider } from "../widgets/slider";
 import type { Card } from "./card";
-import { limitsOf } from "./limits";
+import { limitsOf, pixelLimit, type Limit } from "./limits";
 import { budgetOf, SHARE_SCALE, SHARE_TICKS, shareOf, trianglesShown } from "./share";
 
 const Expert = lazy(() => import("./expert"));
@@ -70,6 +72,9 @@ function Detail(props: { readonly view: View }) {
         field={<TrianglesField shown={shown()} full={statistics()?.fullTriangles} />}
       />
       <Limits view={props.view} />
+      <Show when={cutsTree(props.view)}>
+        <Finer detail={props.view.detail} />
+      </Show>
       <details class="expert">
         <summary>Expert</summary>
         <Suspense>
@@ -117,26 +122,43 @@ export function shareWords(share: number, shown: number, statistics: Statistics 
 }
 
 function Limits(props: { readonly view: View }) {
-  const { actions, viewer } = useModel();
+  const { viewer } = useModel();
   const scale = useScale();
+  const pixels = () => pixelLimit(props.view, viewer().statistics);
   const limits = () => limitsOf(props.view, sharedStatistics(viewer()), viewer().refusal, scale(), budgetEdit(viewer(), { share: 0.25 }), sharerCount(viewer()) < 2 ? viewer().answers.curve?.value : undefined);
   return (
     <ul class="limits">
-      <For each={limits()}>
-        {(limit) => (
-          <li>
-            <span>{limit.text}</span>
-            <Show when={limit.lift}>
-              {(lift) => (
-                <Button quiet onClick={() => actions.edit(lift().edit)}>
-                  {lift().text}
-                </Button>
-              )}
-            </Show>
-          </li>
-        )}
-      </For>
+      <Show when={pixels()}>{(limit) => <LimitItem limit={limit()} isSteady />}</Show>
+      <For each={limits()}>{(limit) => <LimitItem limit={limit} />}</For>
     </ul>
+  );
+}
+
+/** @param props.isSteady the text changes with the camera: the item keeps its height */
+function LimitItem(props: { readonly limit: Limit; readonly isSteady?: boolean }) {
+  const { actions } = useModel();
+  return (
+    <li classList={{ steady: props.isSteady ?? false }}>
+      <span>{props.limit.text}</span>
+      <Show when={props.limit.lift}>
+        {(lift) => (
+          <Button quiet onClick={() => actions.edit(lift().edit)}>
+            {lift().text}
+          </Button>
+        )}
+      </Show>
+    </li>
+  );
+}
+
+/** Whether the surface follows the camera. */
+function Finer(props: { readonly detail: View["detail"] }) {
+  const { actions } = useModel();
+  return (
+    <div class="control">
+      <Toggle label="Finer where you look" on={props.detail === "view"} onChange={(on) => actions.edit({ detail: on ? "view" : "uniform" })} />
+      <p class="note">Near parts get more triangles, far ones and those out of sight fewer. Exported files are uniform.</p>
+    </div>
   );
 }
 

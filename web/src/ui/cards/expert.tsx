@@ -3,9 +3,8 @@
 import { Show, type JSX } from "solid-js";
 import { LEVELS } from "../../protocol/generated";
 import type { Edit, Statistics, View } from "../../protocol/types";
-import { lengthUnit, unitWord } from "../../state/lengths";
+import { unitWord } from "../../state/lengths";
 import { budgetEdit } from "../../state/sharedBudget";
-import { unitsOf } from "../../state/typedNumber";
 import { cutsTree } from "../../protocol/view";
 import type { ViewerState } from "../../state/viewer";
 import { formatValue } from "../format";
@@ -13,11 +12,13 @@ import { useModel, useScale, useSpacing } from "../model";
 import { Choice, Select } from "../widgets/choice";
 import { NumberField } from "../widgets/numberField";
 import { Slider } from "../widgets/slider";
-import { criterion, inSpacings, type Criterion } from "./criterion";
-import { BETA_SCALE, ERROR_SCALE } from "./scales";
+import { criterion, type Criterion } from "./criterion";
+import { ErrorRows } from "./errorRows";
+import { FIRST_ERROR } from "./errorUnits";
+import { BETA_SCALE } from "./scales";
 
 /** Initial values if nothing better is known. */
-const FIRST = { beta: 0.02, error: 0.1, share: 0.25 } as const;
+const FIRST = { beta: 0.02, share: 0.25 } as const;
 
 export default function Expert() {
   const { view } = useModel();
@@ -33,11 +34,11 @@ export default function Expert() {
   );
 }
 
-/** The view's error, or what would be the same as the present tolerance, in multiples of the spacing. */
-function errorOf(view: View, statistics: Statistics | undefined, spacing: number): number {
-  if (view.error !== undefined) return inSpacings(view.error, spacing);
+/** The view's error, or else pixels if there are any, or what would be the same as the present tolerance. */
+function errorOf(view: View, statistics: Statistics | undefined, spacing: number): number | string {
+  if (view.error !== undefined) return view.error;
   const tolerance = statistics?.tolerance ?? -1;
-  return tolerance > 0 ? Number((tolerance / spacing).toPrecision(2)) : FIRST.error;
+  return view.detail === "view" || tolerance <= 0 ? FIRST_ERROR : `${Number((tolerance / spacing).toPrecision(2))}vx`;
 }
 
 function criterionEdit(by: Criterion, view: View, state: ViewerState, spacing: number): Edit {
@@ -45,7 +46,7 @@ function criterionEdit(by: Criterion, view: View, state: ViewerState, spacing: n
   switch (by) {
     case "error":
       // The paper's mesher knows β and budgets alone.
-      return { error: `${errorOf(view, statistics, spacing)}vx`, ...(view.mesher === "marching-cubes" ? { mesher: "dual" } : {}) };
+      return { error: errorOf(view, statistics, spacing), ...(view.mesher === "marching-cubes" ? { mesher: "dual" } : {}) };
     case "triangles":
       return budgetEdit(state, view.triangles ?? { share: FIRST.share });
     case "beta":
@@ -54,13 +55,10 @@ function criterionEdit(by: Criterion, view: View, state: ViewerState, spacing: n
 }
 
 function Criteria(props: { readonly view: View }) {
-  const { actions, viewer, volume } = useModel();
+  const { actions, viewer } = useModel();
   const spacing = useSpacing();
   const statistics = () => viewer().statistics;
-  const error = () => errorOf(props.view, statistics(), spacing());
-  const tolerance = () => formatValue((statistics()?.tolerance ?? 0) / spacing(), 2);
   const by = () => criterion(props.view, statistics(), spacing());
-  const unit = () => lengthUnit(volume());
   return (
     <>
       <Row label="Limit by">
@@ -76,19 +74,7 @@ function Criteria(props: { readonly view: View }) {
         />
       </Row>
       <Show when={props.view.error !== undefined}>
-        <Slider
-          label="Error"
-          value={error()}
-          scale={ERROR_SCALE}
-          min={0}
-          max={1000}
-          step={Math.max(1e-3, Number((error() / 10).toPrecision(1)))}
-          note={by() === "triangles" ? `× spacing, applied ${tolerance()}` : "× spacing"}
-          units={{ voxels: 1, voxel: 1, vx: 1, ...unitsOf(unit(), 1 / spacing()) }}
-          words={`${formatValue(error())} times the distance between samples`}
-          onChange={(value, gesture) => actions.edit({ error: `${value}vx`, triangles: props.view.triangles, bytes: props.view.bytes }, gesture)}
-          onEnd={actions.endGesture}
-        />
+        <ErrorRows error={props.view.error ?? FIRST_ERROR} view={props.view} statistics={statistics()} isExceeded={by() === "triangles"} />
       </Show>
       <Show when={props.view.beta !== undefined}>
         <BetaSlider beta={props.view.beta ?? 0} />

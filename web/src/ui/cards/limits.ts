@@ -1,10 +1,12 @@
 /** What keeps the surface from being finer or coarser, in words, and the edits that end it. Pure. */
 
-import type { Curve, Edit, Statistics, View } from "../../protocol/types";
+import type { Curve, Edit, PixelError, Statistics, View } from "../../protocol/types";
+import { followsCamera } from "../../protocol/view";
 import type { LengthScale } from "../../state/lengths";
 import { formatCount, formatLength, formatValue } from "../format";
 import { FINE_ERROR, trianglesFor } from "../plots/errorCurve";
 import { criterion, gaveWayText, inSpacings } from "./criterion";
+import { FIRST_ERROR } from "./errorUnits";
 
 export interface Limit {
   readonly text: string;
@@ -58,14 +60,43 @@ function betaLimit(view: View, budget: Edit): Limit | undefined {
   };
 }
 
+/** Ends of the sentence about the error at this view. */
+const PIXEL_LIMITS: Readonly<Record<PixelError["limitedBy"], string>> = {
+  error: "as asked",
+  budget: "the budget allows no finer",
+  pixels: "finer would not show",
+  guard: "the guard on the error is finer",
+  data: "this is the full surface",
+};
+
+/** `0.83 px`; an error that cannot be seen has no digits. */
+export function formatPixels(rms: number): string {
+  return rms < 0.01 ? "less than 0.01 px" : `${formatValue(rms, 2)} px`;
+}
+
+/** The error in the picture and what limits it, of a surface that follows the camera: always one item, as it changes with each move. */
+export function pixelLimit(view: View, statistics: Statistics | undefined): Limit | undefined {
+  if (!followsCamera(view) || statistics?.fullTriangles === 0) return undefined;
+  const pixels = statistics?.pixels ?? undefined;
+  if (pixels === undefined) return { text: "The error at this view is not known yet" };
+  const { error, triangles } = view;
+  const text = `Error about ${formatPixels(pixels.rms)} at this view: ${PIXEL_LIMITS[pixels.limitedBy]}`;
+  if (pixels.limitedBy === "budget") return { text, lift: { text: "Allow more", edit: { error: error ?? FIRST_ERROR } } };
+  if (pixels.limitedBy === "error" && triangles !== undefined) return { text, lift: { text: "Refine further", edit: { triangles } } };
+  return { text };
+}
+
 /** An error and a budget: the greater tolerance decides. Here the error's. */
 function errorLimit(view: View, statistics: Statistics | undefined, scale: LengthScale): Limit | undefined {
   const { error, triangles } = view;
-  if (error === undefined || statistics === undefined || criterion(view, statistics, scale.spacing) !== "error") return undefined;
+  if (error === undefined || statistics === undefined || isAboutPixels(statistics) || criterion(view, statistics, scale.spacing) !== "error") return undefined;
   const text = formatLength(inSpacings(error, scale.spacing) * scale.spacing, scale);
   if (triangles === undefined) return { text: `Merged up to an error of ${text}` };
   return { text: `${text} reached with fewer triangles than the budget`, lift: { text: "Refine further", edit: { triangles } } };
 }
+
+/** Whether `pixelLimit` says what limits the surface. */
+const isAboutPixels = ({ pixels }: Statistics): boolean => pixels !== null;
 
 /** Guards that gave way to the budget, and an error that needs more triangles. */
 function budgetLimit(view: View, statistics: Statistics | undefined, scale: LengthScale, curve: Curve | undefined): Limit | undefined {
@@ -79,7 +110,7 @@ function budgetLimit(view: View, statistics: Statistics | undefined, scale: Leng
 /** A budget that is reached before the view's error, or, without one, before an error that is hardly seen. */
 function wantedLimit(view: View, statistics: Statistics, { spacing, unit }: LengthScale, curve: Curve | undefined): Limit | undefined {
   const { error, triangles } = view;
-  if (triangles === undefined || criterion(view, statistics, spacing) !== "triangles") return undefined;
+  if (triangles === undefined || isAboutPixels(statistics) || criterion(view, statistics, spacing) !== "triangles") return undefined;
   const length = (error === undefined ? FINE_ERROR : inSpacings(error, spacing)) * spacing;
   const needed = curve?.byError === true ? trianglesFor(curve.points, length, "threshold") : undefined;
   const text = formatLength(length, { spacing, unit });

@@ -8,12 +8,14 @@ export const BETA_SCALE: Scale = {
   toPosition: (beta) => (beta < 0 ? 0 : Math.min(1, Math.max(0.001, 1 + Math.log10(Math.max(beta, 1e-9)) / 4))),
 };
 
-/** Ends of the slider of the error, in multiples of the smallest spacing. */
-const ERROR_RANGE = [0.01, 4] as const;
+/** Equal steps are equal factors. */
+const factors = (from: number, to: number): Scale => ({
+  toValue: (t) => Number((from * (to / from) ** t).toPrecision(2)),
+  toPosition: (value) => Math.min(1, Math.max(0, Math.log(Math.max(value, 1e-9) / from) / Math.log(to / from))),
+});
 
-/** The error on the slider: equal steps are equal factors. */
-export const ERROR_SCALE: Scale = {
-  toValue: (t) => Number((ERROR_RANGE[0] * (ERROR_RANGE[1] / ERROR_RANGE[0]) ** t).toPrecision(2)),
-  toPosition: (error) =>
-    Math.min(1, Math.max(0, Math.log(Math.max(error, 1e-9) / ERROR_RANGE[0]) / Math.log(ERROR_RANGE[1] / ERROR_RANGE[0]))),
-};
+/** The error on the slider, in multiples of the smallest spacing. */
+export const ERROR_SCALE = factors(0.01, 4);
+
+/** The error on the slider, in pixels. */
+export const PIXEL_SCALE = factors(0.1, 10);

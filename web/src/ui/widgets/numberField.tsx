@@ -15,6 +15,8 @@ export interface NumberFieldProps extends NumberKind {
   readonly wide?: boolean;
   /** Digits that are shown. */
   readonly digits?: number;
+  /** Takes a typed text that means more than a number. Returns whether it has done so. */
+  readonly acceptText?: (text: string) => boolean;
   readonly onChange: (value: number) => void;
 }
 
@@ -67,7 +69,7 @@ function useTyping(props: NumberFieldProps) {
   };
   const commit = () => {
     const value = typed();
-    if (!isTyping() || text() === format(props.value)) return show();
+    if (!isTyping() || text() === format(props.value) || props.acceptText?.(text()) === true) return show();
     say(refusedText(text(), props, typeof value === "number" ? clamp(value, props) : props.value));
     commitTyped(text(), value);
   };
