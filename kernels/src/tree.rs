@@ -96,7 +96,7 @@ impl TreeGoal {
 pub struct RegionWeights {
     /// Finite numbers above 0, in the order of [`Pyramid::region_coords`].
     pub of_regions: Vec<f32>,
-    /// Whether tolerances are powers of two: errors count as the next one. Then regions whose weight changes by a little keep their cut.
+    /// Whether tolerances are powers of four: errors count as the next one. Then regions whose weight changes by a little keep their cut.
     pub in_steps: bool,
 }
 

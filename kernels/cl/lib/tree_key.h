@@ -12,9 +12,10 @@ inline uint key_bits(uint packed) { return packed & ~KEY_SINGLE; }
 inline uint merged_triangles(uint packed) { return packed & KEY_SINGLE ? 1 : 2; }
 // The lowest number of a key that the tolerance does not allow.
 inline uint end_key(float tolerance) { return tolerance >= 0.0f ? as_uint(fabs(tolerance)) + 1 : 0; }
-// The smallest power of two that is not below a number of 0 or more; 0 for 0. Numbers below the smallest normal one become that one.
-inline float power_above(float x) { return as_float((as_uint(x) + 0x007fffffu) & 0x7f800000u); }
-// Divides an error over weight by a further weight, that of regions. In steps it counts as the power of two above it, so that a slightly
+// The smallest power of four that is not below a number of 0 or more; of those below the smallest normal number that one. Exponents of
+// powers of four are odd as a float has them.
+inline float power_above(float x) { return as_float(((as_uint(x) - 0x00800000u + 0x00ffffffu) & 0xff000000u) + 0x00800000u); }
+// Divides an error over weight by a further weight, that of regions. In steps it counts as the power of four above it, so that a slightly
 // different weight rarely changes the cut. Above the guard no tolerance allows it.
 inline float over_region_weight(float error, float weight, uint in_steps, float guard) {
     if (error > guard) return INFINITY;

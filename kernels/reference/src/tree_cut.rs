@@ -46,7 +46,7 @@ pub struct Cutter<'a> {
 pub struct Weights {
     /// Of each region that the surface crosses.
     pub of_regions: BTreeMap<[u32; 3], f32>,
-    /// Whether errors count as the next power of two.
+    /// Whether errors count as the next power of four.
     pub in_steps: bool,
     /// Nodes whose error over the weight of importance alone is above this are never merged.
     pub guard: f32,
@@ -58,16 +58,9 @@ impl Weights {
         if error > self.guard {
             return f32::INFINITY;
         }
-        // The logarithm of a float is exact enough here only because the power is checked.
         let power_above = |x: f32| {
-            if x <= 0.0 {
-                return 0.0;
-            }
-            let mut power = 2f32.powi((x.log2().ceil() as i32 - 1).max(-126));
-            while power < x {
-                power *= 2.0;
-            }
-            power
+            let powers = (-63..64).map(|exponent| 4f32.powi(exponent));
+            powers.into_iter().find(|&power| power >= x).unwrap_or(f32::INFINITY)
         };
         (if self.in_steps { power_above(error) } else { error }) / weight
     }
@@ -351,8 +344,8 @@ impl Cutter<'_> {
             goal.max_tolerance.min(f32::MAX)
         };
         let fit = |keys: &OfNodes| {
-            let fitted = goal.tolerance.max(self.fit(keys, goal.max_triangles));
-            fitted.min(limit)
+            let fitted = self.fit(keys, goal.max_triangles);
+            goal.tolerance.max(fitted).min(limit)
         };
         let mut marks = self.first_marks();
         let mut keys = self.keys(importances, &marks);

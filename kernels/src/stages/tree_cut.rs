@@ -44,7 +44,7 @@ kernel_args! {
         has_importances: u32,
         /// 1: regions have weights; 0: these are 1.
         has_weights: u32,
-        /// 1: with weights of regions, errors count as the next power of two.
+        /// 1: with weights of regions, errors count as the next power of four.
         in_steps: u32,
         /// With weights of regions: nodes whose error over weight, without those, is above this one are never merged.
         guard: f32,
@@ -108,7 +108,7 @@ pub struct CutWeights {
     pub of_regions: Buffer<f32>,
     /// Of each node above the regions the minimum of its points' regions, as bits.
     pub of_nodes: Buffer<u32>,
-    /// Whether errors count as the next power of two.
+    /// Whether errors count as the next power of four.
     pub in_steps: bool,
     /// See [`TreeKeysArgs::guard`].
     pub guard: f32,

@@ -167,7 +167,8 @@ impl SeenSurface {
         })
     }
 
-    /// The tolerance whose estimated error is at most this many pixels everywhere in the picture; infinity if the picture shows nothing.
+    /// The tolerance whose expected error is at most this many pixels everywhere in the picture; the largest number if the picture shows
+    /// nothing.
     pub(crate) fn tolerance(&self, pixels: f32, curve: &ErrorCurve) -> f32 {
         let of_region = |region: &SeenRegion| Some(curve.tolerance(pixels / region.pixels?) / region.weight);
         let tolerances = self.regions.iter().filter_map(of_region);
@@ -198,7 +199,7 @@ impl SeenSurface {
             let Some(pixels) = region.pixels else { continue };
             let mut of_region = tolerance.max(0.0) * region.weight;
             if self.is_perspective && of_region.is_normal() {
-                of_region = 2f32.powf(of_region.log2().floor());
+                of_region = 4f32.powf((of_region.log2() / 2.0).floor());
             }
             // A surface covers more pixels the nearer it is.
             let covered = f64::from(area) * f64::from(pixels).powi(2);

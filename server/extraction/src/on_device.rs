@@ -140,6 +140,8 @@ impl Workspace {
         // An error is ignored here: if the device failed, the job's next launch reports it.
         let take_times = || engine.take_times().unwrap_or_default();
         let job_times = JobTimes::default();
+        // A cancelled job has left its times.
+        take_times();
         if !is_cached {
             let feature = self.feature_fields(volume, &view.feature, view.cap)?;
             let pyramid = context.run(self, &take_times, &job_times, |cancel| match cells_suffice {

@@ -185,6 +185,8 @@ pub(super) struct Session<B> {
     ahead: Option<Ahead>,
     /// The camera of the viewer, for the open volume.
     camera: Option<CameraJson>,
+    /// The camera in force at the last `cancel`: surfaces that were made for another one do not follow it.
+    stopped_camera: Option<Option<CameraJson>>,
     /// The viewer's membership of a group.
     member: Option<Member>,
     /// The last volume that this session tried to open because the member in control has opened it.
@@ -218,6 +220,7 @@ impl<B: Backend> Session<B> {
             questions: Questions::default(),
             ahead: None,
             camera: None,
+            stopped_camera: None,
             member: None,
             tried: None,
             resolving: None,

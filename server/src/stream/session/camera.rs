@@ -19,6 +19,7 @@ impl<B: Backend> Session<B> {
             return self.send_error("bad-message", error.to_string(), true);
         }
         self.camera = camera;
+        self.stopped_camera = None;
         self.broadcast_camera();
         self.make_way_for_camera();
     }
@@ -52,8 +53,9 @@ impl<B: Backend> Session<B> {
     /// Begins a generation of each surface that was made for another camera, if nothing else is waited for.
     pub(super) fn follow_camera(&mut self) {
         let camera = self.camera_in_force();
+        let is_stopped = self.stopped_camera.as_ref() == Some(&camera);
         let Some(opened) = &mut self.opened else { return };
-        if opened.is_awaited() || self.questions.is_asked() || !opened.has_to_follow(camera.as_ref()) {
+        if is_stopped || opened.is_awaited() || self.questions.is_asked() || !opened.has_to_follow(camera.as_ref()) {
             return;
         }
         self.questions.drop_annotation();

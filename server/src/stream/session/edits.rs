@@ -91,6 +91,7 @@ impl<B: Backend> Session<B> {
 
     /// Handles `cancel`: ends all work for the surfaces, which stay as the client holds them.
     pub(super) fn on_cancel(&mut self) {
+        self.stopped_camera = Some(self.camera_in_force());
         self.questions.clear();
         self.outbox.drop_annotations();
         for number in 0..MAX_SURFACES {

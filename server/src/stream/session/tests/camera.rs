@@ -89,6 +89,18 @@ async fn an_edit_ends_what_only_follows_a_camera() {
 }
 
 #[tokio::test]
+async fn cancel_ends_following_until_the_next_camera() {
+    let mut viewer = seeing(&[1]).await;
+    viewer.say(&message(2.0)).await;
+    let job = viewer.step().await;
+    viewer.say(r#"{"type":"cancel"}"#).await;
+    job.answer_cancelled().await;
+    viewer.quiet().await;
+    viewer.say(&message(3.0)).await;
+    assert_eq!(place(&viewer.step().await), Some(3.0));
+}
+
+#[tokio::test]
 async fn cuts_of_cubes_and_uniform_surfaces_do_not_follow() {
     for edit in [r#"{"type":"edit","detail":"uniform"}"#, r#"{"type":"edit","beta":0.1}"#] {
         let mut viewer = seeing(&[1]).await;
