@@ -149,7 +149,10 @@ fn json_camera(distance: f64) -> Value {
 async fn the_stream_follows_the_camera_and_makes_what_a_request_makes() {
     let Some(address) = server::shared() else { return };
     let mut viewer = Viewer::open(address, demo::ID).await;
-    let view = json!({"iso": 110, "feature": "none", "error": "1px", "triangles": 60000});
+    let identity =
+        json!([{"x": 0, "importance": 0, "color": "#000000"}, {"x": 1, "importance": 1, "color": "#ffffff"}]);
+    let view = json!({"iso": 110, "field": "t1", "feature": "none", "alpha": 0, "error": "1px", "triangles": 60000, "interest": [],
+        "transferFunction": {"points": identity}});
     let first = viewer.edit_and_rest(view.clone()).await;
     assert_eq!(first.last().expect("done")["isTreeCut"], true);
     let start = viewer.shown.clone();

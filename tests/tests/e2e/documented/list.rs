@@ -235,6 +235,7 @@ pub const IN_TEXT: &[(&str, How)] = &[
     ("isopeel serve --public-url https://lab.example/volumes --trusted-proxy 127.0.0.1", By("tests/browser/service.mjs", "\"--public-url\", url, \"--trusted-proxy\", \"127.0.0.1\"")),
     ("isopeel bench --case stream", By("tests/tests/e2e/bench.rs", "stream")),
     ("isopeel bench --case camera", By("tests/tests/e2e/bench.rs", "camera")),
+    ("tests/scripts/pixels.py promise", Not("takes volumes that are not in the repository")),
     ("grep -h '\"problem\"' surfaces/*/manifest.jsonl", By("tests/scripts/slurm.sh", "grep -h '\"problem\"' surfaces/*/manifest.jsonl")),
     ("cat surfaces/*/manifest.jsonl", By("tests/scripts/slurm.sh", "cat surfaces/*/manifest.jsonl")),
     ("sbatch docker/isopeel.slurm VOLUME ...", By("tests/scripts/slurm.sh", "isopeel.slurm")),
