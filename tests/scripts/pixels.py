@@ -150,7 +150,7 @@ def gain(surface):
         voxel = camera.focal * smallest / np.median(looked[2])
         print(
             f"{voxel:5.1f} px a voxel (nearest {pixels:.0f}): uniform {before[0]:.3f}, camera {after[0]:.3f}, ratio {before[0] / after[0]:.2f}; "
-            f"99.9 %: {before[1]:.2f}, {after[1]:.2f}; stated {statistics['pixels']['rms']:.3f} by {statistics['pixels']['limitedBy']}, "
+            f"99.9 %: {before[1]:.2f}, {after[1]:.2f}; stated {statistics['pixels']['within']:.3f} by {statistics['pixels']['limitedBy']}, "
             f"{statistics['triangles']} triangles",
             flush=True,
         )
@@ -177,7 +177,7 @@ def promise(surface):
         voxel = camera.focal * min(spacings()) / np.median(looked[2])
         worst.append(rms)
         print(
-            f"{n:2} {voxel:5.1f} px a voxel: rms {rms:.3f}, 99.9 % {quantile:.2f}; stated {statistics['pixels']['rms']:.3f} "
+            f"{n:2} {voxel:5.1f} px a voxel: rms {rms:.3f}, 99.9 % {quantile:.2f}; stated {statistics['pixels']['within']:.3f} "
             f"by {statistics['pixels']['limitedBy']}, {statistics['triangles']} triangles",
             flush=True,
         )

@@ -281,16 +281,16 @@ describe("errors in pixels", () => {
     expect(["1px", "1vx", 3].map((error) => inSpacings(error, 3))).toEqual([0.1, 1, 1]);
   });
 
-  const pixels = (limitedBy: "error" | "budget" | "pixels" | "guard" | "data", rms = 0.834) => ({ ...statistics(100), tolerance: 9, pixels: { rms, limitedBy } });
+  const pixels = (limitedBy: "error" | "budget" | "pixels" | "guard" | "data", rms = 0.834) => ({ ...statistics(100), tolerance: 9, pixels: { within, limitedBy } });
 
   test("are said with what limits them", () => {
     const texts = (["error", "budget", "pixels", "guard", "data"] as const).map((by) => pixelLimit(OPENING, pixels(by))?.text);
     expect(texts).toEqual([
-      "Error about 0.83 px at this view: as asked",
-      "Error about 0.83 px at this view: the budget allows no finer",
-      "Error about 0.83 px at this view: finer would not show",
-      "Error about 0.83 px at this view: the guard on the error is finer",
-      "Error about 0.83 px at this view: this is the full surface",
+      "Error up to about 0.83 px at this view: as asked",
+      "Error up to about 0.83 px at this view: the budget allows no finer",
+      "Error up to about 0.83 px at this view: finer would not show",
+      "Error up to about 0.83 px at this view: the guard on the error is finer",
+      "Error up to about 0.83 px at this view: this is the full surface",
     ]);
     expect([formatPixels(12.34), formatPixels(0)]).toEqual(["12 px", "less than 0.01 px"]);
     expect(pixelLimit(OPENING, pixels("budget"))?.lift?.edit).toEqual({ error: "1px" });

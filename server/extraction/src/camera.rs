@@ -18,11 +18,10 @@ const MARGIN: f64 = 0.15;
 const SEEN_PIXELS: f32 = 0.25;
 /// Bounds of weights, so that weighted tolerances are normal floats.
 const WEIGHTS: [f64; 2] = [1e-9, 1e9];
-/// Share of the quadrics' estimate that counts as the error: the distance that is measured is 0.3 to 0.45 of the estimate, for smooth and for
-/// noisy surfaces (`tests/scripts/pixels.py promise`).
-const ESTIMATE_SHARE: f32 = 0.5;
-/// Without a curve, the error in space is this factor times the tolerance to the power of [`EXPONENT`], in smallest spacings.
-const FACTOR: f32 = 0.08;
+/// Nearly all of a surface lies within this multiple of the root mean square that quadrics estimate (`tests/scripts/pixels.py promise`).
+const SPREAD: f32 = 2.0;
+/// Without a curve, the distance in space is this factor times the tolerance to the power of [`EXPONENT`], in smallest spacings.
+const FACTOR: f32 = 0.16;
 /// See [`FACTOR`]. Also the slope of a curve beyond its ends.
 const EXPONENT: f32 = 0.6;
 
@@ -56,7 +55,7 @@ pub(crate) struct SeenSurface {
     is_perspective: bool,
 }
 
-/// Expected error of cuts over their tolerance, both in smallest spacings; errors grow with tolerances.
+/// Distance within which nearly all of a cut lies, over the cut's tolerance, both in smallest spacings; distances grow with tolerances.
 pub(crate) struct ErrorCurve {
     points: Vec<[f32; 2]>,
 }
@@ -167,7 +166,7 @@ impl SeenSurface {
         })
     }
 
-    /// The tolerance whose expected error is at most this many pixels everywhere in the picture; the largest number if the picture shows
+    /// The tolerance at which nearly all lies within this many pixels everywhere in the picture; the largest number if the picture shows
     /// nothing.
     pub(crate) fn tolerance(&self, pixels: f32, curve: &ErrorCurve) -> f32 {
         let of_region = |region: &SeenRegion| Some(curve.tolerance(pixels / region.pixels?) / region.weight);
@@ -186,8 +185,8 @@ impl SeenSurface {
         guard.is_finite() && seen.all(|region| guard < tolerance * region.weight)
     }
 
-    /// Estimates the error of a cut in the picture. `areas`: of each region's full surface; `guard`: maximum error over weight of a node.
-    pub(crate) fn pixel_rms(
+    /// Returns the pixels within which nearly all of a cut lies in the picture. `areas`: of each region's full surface; `guard`: maximum error over weight of a node.
+    pub(crate) fn pixels_within(
         &self,
         tolerance: f32,
         guard: f32,
@@ -203,7 +202,7 @@ impl SeenSurface {
             }
             // A surface covers more pixels the nearer it is.
             let covered = f64::from(area) * f64::from(pixels).powi(2);
-            sum2 += covered * f64::from(curve.rms(of_region.min(guard)) * pixels).powi(2);
+            sum2 += covered * f64::from(curve.distance(of_region.min(guard)) * pixels).powi(2);
             weight_sum += covered;
         }
         if weight_sum > 0.0 {
@@ -221,17 +220,17 @@ impl ErrorCurve {
         for point in curve {
             let grows = points
                 .last()
-                .is_none_or(|last| point.threshold > last[0] && ESTIMATE_SHARE * point.rms > last[1]);
+                .is_none_or(|last| point.threshold > last[0] && SPREAD * point.rms > last[1]);
             let is_positive = point.threshold > 0.0 && point.rms > 0.0 && point.threshold.is_finite();
             if grows && is_positive {
-                points.push([point.threshold, ESTIMATE_SHARE * point.rms]);
+                points.push([point.threshold, SPREAD * point.rms]);
             }
         }
         Self { points }
     }
 
-    /// Estimated error at a tolerance.
-    fn rms(&self, tolerance: f32) -> f32 {
+    /// The distance at a tolerance.
+    fn distance(&self, tolerance: f32) -> f32 {
         if tolerance <= 0.0 {
             return 0.0;
         }
@@ -239,10 +238,10 @@ impl ErrorCurve {
             .unwrap_or(FACTOR * tolerance.powf(EXPONENT))
     }
 
-    /// The tolerance at which the estimated error is `rms`.
-    fn tolerance(&self, rms: f32) -> f32 {
-        let of_curve = self.interpolate(1, rms, 1.0 / EXPONENT);
-        of_curve.unwrap_or((rms / FACTOR).powf(1.0 / EXPONENT))
+    /// The tolerance of a distance.
+    fn tolerance(&self, distance: f32) -> f32 {
+        let of_curve = self.interpolate(1, distance, 1.0 / EXPONENT);
+        of_curve.unwrap_or((distance / FACTOR).powf(1.0 / EXPONENT))
     }
 
     /// The other coordinate of the curve where coordinate `axis` is `at`, linear between points on logarithmic scales, with this slope
@@ -312,7 +311,7 @@ mod tests {
             triangles: 0,
             rms,
         };
-        ErrorCurve::new(&[point(-1.0, 0.0), point(1.0, 0.25), point(8.0, 1.0), point(9.0, 0.8)])
+        ErrorCurve::new(&[point(-1.0, 0.0), point(1.0, 0.0625), point(8.0, 0.25), point(9.0, 0.2)])
     }
 
     #[test]
@@ -347,14 +346,14 @@ mod tests {
         let curve = curve();
         assert_eq!(curve.points.len(), 2, "errors that do not grow are left out");
         for tolerance in [0.01, 0.5, 1.0, 3.0, 8.0, 100.0] {
-            let again = curve.tolerance(curve.rms(tolerance));
+            let again = curve.tolerance(curve.distance(tolerance));
             assert!((again / tolerance - 1.0).abs() < 1e-4, "{tolerance} {again}");
         }
-        assert!((curve.rms(2.0) - 0.125 * 4f32.powf(1.0 / 3.0)).abs() < 1e-5);
-        assert!((curve.rms(16.0) - 0.5 * 2f32.powf(0.6)).abs() < 1e-5);
-        assert_eq!(curve.rms(-1.0), 0.0);
+        assert!((curve.distance(2.0) - 0.125 * 4f32.powf(1.0 / 3.0)).abs() < 1e-5);
+        assert!((curve.distance(16.0) - 0.5 * 2f32.powf(0.6)).abs() < 1e-5);
+        assert_eq!(curve.distance(-1.0), 0.0);
         let without = ErrorCurve::new(&[]);
-        assert!((without.rms(1.0) - 0.08).abs() < 1e-6 && (without.tolerance(0.08) - 1.0).abs() < 1e-5);
+        assert!((without.distance(1.0) - 0.16).abs() < 1e-6 && (without.tolerance(0.16) - 1.0).abs() < 1e-5);
     }
 
     #[test]
@@ -362,11 +361,11 @@ mod tests {
         let (seen, curve) = (seen(r#""fov":40"#), curve());
         let tolerance = seen.tolerance(0.5, &curve);
         for region in &seen.regions[..2] {
-            let pixels = curve.rms(tolerance * region.weight) * region.pixels.expect("in the picture");
+            let pixels = curve.distance(tolerance * region.weight) * region.pixels.expect("in the picture");
             assert!(pixels <= 0.5001, "{pixels}");
         }
-        let rms = seen.pixel_rms(tolerance, f32::INFINITY, [1.0, 1.0, 1e9].into_iter(), &curve);
-        assert!((0.1..=0.5).contains(&rms), "{rms}");
+        let within = seen.pixels_within(tolerance, f32::INFINITY, [1.0, 1.0, 1e9].into_iter(), &curve);
+        assert!((0.1..=0.5).contains(&within), "{within}");
         // Below a quarter of a pixel nothing is seen, unless less was asked for.
         assert!(seen.seen_tolerance(None, &curve) < tolerance);
         assert!(seen.seen_tolerance(Some(0.1), &curve) < seen.seen_tolerance(Some(3.0), &curve));

@@ -53,9 +53,9 @@ impl Seen {
         let is_full = statistics.mesher_triangles == Some(statistics.triangles);
         let guard = self.tolerances.guard;
         PixelError {
-            rms: self
+            within: self
                 .surface
-                .pixel_rms(tolerance, guard, tree.region_areas(), &self.curve),
+                .pixels_within(tolerance, guard, tree.region_areas(), &self.curve),
             limited_by: self.surface.limit(tolerance, self.tolerances, is_full),
         }
     }

@@ -49,8 +49,8 @@ pub struct Edit {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub beta: Option<f32>,
     /// How far the surface may be decimated, instead of `beta`: a part is merged up to this error over its weight, which falls
-    /// with importance and grows with the distance to the camera. In pixels it is the root mean square over what the camera sees; without
-    /// a camera, a pixel counts as a tenth of the smallest spacing.
+    /// with importance and grows with the distance to the camera. In pixels it is that within which nearly all of what the camera sees lies;
+    /// without a camera, a pixel counts as a tenth of the smallest spacing.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub error: Option<ErrorLimit>,
     /// Maximum triangles, instead of `beta`: the smallest tolerance that keeps it is found. Beside `error`, the greater of both

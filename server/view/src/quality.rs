@@ -122,7 +122,7 @@ impl Serialize for Distance {
 pub enum ErrorLimit {
     /// A distance in space.
     Distance(Distance),
-    /// Pixels, root mean square over what the camera sees.
+    /// Pixels, within which nearly all of what the camera sees is to lie.
     Pixels(f32),
 }
 
@@ -434,14 +434,14 @@ pub enum PixelLimit {
     Data,
 }
 
-/// Error of a surface in its camera's picture, as the tree's quadrics estimate it. It is no bound.
+/// Error of a surface in its camera's picture, as expected from the tree's quadrics. It is no bound.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[cfg_attr(feature = "typescript", derive(ts_rs::TS))]
 #[serde(rename_all = "camelCase")]
 pub struct PixelError {
-    /// Root mean square over what the camera sees, in pixels.
-    pub rms: f32,
+    /// Pixels within which nearly all of what the camera sees lies: twice the root mean square.
+    pub within: f32,
     /// What decides.
     pub limited_by: PixelLimit,
 }

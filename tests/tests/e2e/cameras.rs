@@ -90,7 +90,7 @@ fn an_error_in_pixels_needs_more_triangles_the_nearer_the_camera_is() {
         let pixels = &statistics["pixels"];
         (
             statistics["triangles"].as_u64().expect("a number"),
-            pixels["rms"].as_f64().expect("a number"),
+            pixels["within"].as_f64().expect("a number"),
             pixels["limitedBy"].as_str().expect("a name").to_owned(),
         )
     };

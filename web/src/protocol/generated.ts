@@ -230,8 +230,8 @@ export type Edit = {
   beta?: number,
   /**
    * How far the surface may be decimated, instead of `beta`: a part is merged up to this error over its weight, which falls
-   * with importance and grows with the distance to the camera. In pixels it is the root mean square over what the camera sees; without
-   * a camera, a pixel counts as a tenth of the smallest spacing.
+   * with importance and grows with the distance to the camera. In pixels it is that within which nearly all of what the camera sees lies;
+   * without a camera, a pixel counts as a tenth of the smallest spacing.
    */
   error?: ErrorLimit,
   /**
@@ -535,10 +535,10 @@ export type OpeningIso = {
 /** Which side of a surface is its outside: the one that its triangles and normals show. */
 export type Outward = "auto" | "high" | "low";
 
-/** Error of a surface in its camera's picture, as the tree's quadrics estimate it. It is no bound. */
+/** Error of a surface in its camera's picture, as expected from the tree's quadrics. It is no bound. */
 export type PixelError = {
-  /** Root mean square over what the camera sees, in pixels. */
-  rms: number,
+  /** Pixels within which nearly all of what the camera sees lies: twice the root mean square. */
+  within: number,
   /** What decides. */
   limitedBy: PixelLimit,
 };

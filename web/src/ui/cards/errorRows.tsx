@@ -78,7 +78,7 @@ function ErrorField(props: { readonly error: ErrorInUnit; readonly onChange: (er
 /** The unit, and the error that is in force if that is another one. */
 function noteOf(unit: ErrorUnit, { statistics, isExceeded }: ErrorProps, length: string, spacing: number): string {
   const tolerance = statistics?.tolerance ?? 0;
-  if (unit === "px") return isExceeded && statistics?.pixels ? `pixels, now ${formatPixels(statistics.pixels.rms)}` : "pixels";
+  if (unit === "px") return isExceeded && statistics?.pixels ? `pixels, now ${formatPixels(statistics.pixels.within)}` : "pixels";
   const word = unit === "vx" ? "× spacing" : length;
   return isExceeded ? `${word}, applied ${formatValue(unit === "vx" ? tolerance / spacing : tolerance, 2)}` : word;
 }

@@ -70,8 +70,8 @@ const PIXEL_LIMITS: Readonly<Record<PixelError["limitedBy"], string>> = {
 };
 
 /** `0.83 px`; an error that cannot be seen has no digits. */
-export function formatPixels(rms: number): string {
-  return rms < 0.01 ? "less than 0.01 px" : `${formatValue(rms, 2)} px`;
+export function formatPixels(pixels: number): string {
+  return pixels < 0.01 ? "less than 0.01 px" : `${formatValue(pixels, 2)} px`;
 }
 
 /** The error in the picture and what limits it, of a surface that follows the camera: always one item, as it changes with each move. */
@@ -80,7 +80,7 @@ export function pixelLimit(view: View, statistics: Statistics | undefined): Limi
   const pixels = statistics?.pixels ?? undefined;
   if (pixels === undefined) return { text: "The error at this view is not known yet" };
   const { error, triangles } = view;
-  const text = `Error about ${formatPixels(pixels.rms)} at this view: ${PIXEL_LIMITS[pixels.limitedBy]}`;
+  const text = `Error up to about ${formatPixels(pixels.within)} at this view: ${PIXEL_LIMITS[pixels.limitedBy]}`;
   if (pixels.limitedBy === "budget") return { text, lift: { text: "Allow more", edit: { error: error ?? FIRST_ERROR } } };
   if (pixels.limitedBy === "error" && triangles !== undefined) return { text, lift: { text: "Refine further", edit: { triangles } } };
   return { text };
