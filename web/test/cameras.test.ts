@@ -281,7 +281,7 @@ describe("errors in pixels", () => {
     expect(["1px", "1vx", 3].map((error) => inSpacings(error, 3))).toEqual([0.1, 1, 1]);
   });
 
-  const pixels = (limitedBy: "error" | "budget" | "pixels" | "guard" | "data", rms = 0.834) => ({ ...statistics(100), tolerance: 9, pixels: { within, limitedBy } });
+  const pixels = (limitedBy: "error" | "budget" | "pixels" | "guard" | "data", within = 0.834) => ({ ...statistics(100), tolerance: 9, pixels: { within, limitedBy } });
 
   test("are said with what limits them", () => {
     const texts = (["error", "budget", "pixels", "guard", "data"] as const).map((by) => pixelLimit(OPENING, pixels(by))?.text);
