@@ -275,7 +275,7 @@ typedef struct {
 typedef struct {
     uint has_importances; // 1: nodes have importances; 0: these are 0.
     uint has_weights; // 1: regions have weights; 0: these are 1.
-    uint in_steps; // 1: with weights of regions, errors count as the next power of two.
+    uint in_steps; // 1: with weights of regions, errors count as the next power of four.
     float guard; // With weights of regions: nodes whose error over weight, without those, is above this one are never merged.
     uint first_block; // First block of this launch.
     uint regions; // Number of regions, which are the first blocks.
