@@ -185,7 +185,8 @@ pub(super) struct Session<B> {
     ahead: Option<Ahead>,
     /// The camera of the viewer, for the open volume.
     camera: Option<CameraJson>,
-    /// The camera in force at the last `cancel`: surfaces that were made for another one do not follow it.
+    /// The camera in force at the last `cancel`, or for which a surface could not be made: surfaces that were made for another one do not
+    /// follow it.
     stopped_camera: Option<Option<CameraJson>>,
     /// The viewer's membership of a group.
     member: Option<Member>,

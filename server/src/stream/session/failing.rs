@@ -96,8 +96,14 @@ impl<B: Backend> Session<B> {
         let Some(session) = opened.surface_mut(surface) else {
             return;
         };
-        // The suggested budget is computed from the state at the failure.
-        session.failed.get_or_insert(failed);
+        match session.generation() {
+            // The surface of the view in force is there. It follows the next camera.
+            Some(generation) if generation.follows_camera => {
+                self.stopped_camera = Some(generation.view.camera.as_deref().cloned());
+            }
+            // The suggested budget is computed from the state at the failure.
+            _ => drop(session.failed.get_or_insert(failed)),
+        }
         let failure = match session.generation_mut() {
             Some(generation) if !may_stay && generation.failure.is_some() => {
                 generation.queue_empty_step(&volume);

@@ -1,6 +1,6 @@
 //! Surfaces that follow a camera.
 
-use isopeel_extraction::{Refinement, Shown};
+use isopeel_extraction::{Refinement, Shown, WorkError};
 use isopeel_view::CameraJson;
 
 use super::super::Common;
@@ -95,6 +95,22 @@ async fn cancel_ends_following_until_the_next_camera() {
     let job = viewer.step().await;
     viewer.say(r#"{"type":"cancel"}"#).await;
     job.answer_cancelled().await;
+    viewer.quiet().await;
+    viewer.say(&message(3.0)).await;
+    assert_eq!(place(&viewer.step().await), Some(3.0));
+}
+
+#[tokio::test]
+async fn a_camera_for_which_there_is_no_surface_is_passed_over() {
+    let mut viewer = seeing(&[1]).await;
+    viewer.say(&message(2.0)).await;
+    let job = viewer.step().await;
+    let large = WorkError::TooManyTriangles {
+        triangles: 9,
+        ceiling: 8,
+    };
+    assert!(job.reply.send(Err(large)).is_ok());
+    assert_eq!(viewer.error().await, ("too-large".into(), true));
     viewer.quiet().await;
     viewer.say(&message(3.0)).await;
     assert_eq!(place(&viewer.step().await), Some(3.0));
