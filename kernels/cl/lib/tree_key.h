@@ -5,6 +5,7 @@
 
 #include "lib/constants.h"
 #include "lib/precision.h"
+#include "lib/device.h"
 
 // A packed key has KEY_SINGLE beside it; keys are 0 or more. As a number that is ordered as the keys are.
 inline uint key_bits(uint packed) { return packed & ~KEY_SINGLE; }
