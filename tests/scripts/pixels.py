@@ -4,7 +4,7 @@
     tests/scripts/pixels.py gain VOLUME.nrrd ISO [--budget 50000] [--near 8 16]
     tests/scripts/pixels.py promise VOLUME.nrrd ISO [--cameras 20] [--error 1px]
 
-`gain`: the same budget, cut alike everywhere and cut for the camera, at cameras that see so many pixels a voxel. `promise`: the error
+`gain`: the same budget, cut alike everywhere and cut for the camera, at cameras from which a voxel covers 4, 8 and 16 pixels. `promise`: the error
 that was asked for, at random cameras outside of the surface, without a budget. The truth is the full mesh of the same program. A depth
 buffer of its own says what the camera sees; distances of seen points of the truth to the mesh, and of seen points of the mesh to the
 truth, are divided by depth. Needs numpy, numba, libigl and trimesh.

@@ -343,7 +343,7 @@ impl Cutter<'_> {
     /// Fills in each node's key.
     pub fn keys(&self, importances: Option<&Buffer<u32>>, work: &CutWork) -> Result<()> {
         let has_importances = u32::from(importances.is_some());
-        // What is not read may be any buffer.
+        // If there are no importances or weights, any buffer serves as the argument.
         let importances = importances.unwrap_or(&self.tree.built.point_parents);
         let (of_regions, of_nodes): (&dyn Arg, &dyn Arg) = match &self.weights {
             Some(weights) => (&weights.of_regions, &weights.of_nodes),

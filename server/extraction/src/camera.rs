@@ -60,6 +60,17 @@ pub(crate) struct ErrorCurve {
     points: Vec<[f32; 2]>,
 }
 
+/// Tolerances of a cut for a camera, in smallest spacings at the distance of the camera's target.
+#[derive(Clone, Copy)]
+pub(crate) struct CameraTolerances {
+    /// That of the error that was asked for; below 0 if there is none.
+    pub asked: f32,
+    /// That below which an error is too small to see.
+    pub seen: f32,
+    /// Maximum error over weight of a node, wherever it is.
+    pub guard: f32,
+}
+
 impl Camera {
     /// Takes a camera of the JSON; `None` if it is not valid.
     fn new(json: &CameraJson, smallest: f64) -> Option<Self> {
@@ -211,6 +222,21 @@ impl SeenSurface {
             0.0
         }
     }
+
+    /// Says what decides a cut of a tolerance.
+    pub(crate) fn limit(&self, tolerance: f32, of: CameraTolerances, is_full: bool) -> PixelLimit {
+        if is_full {
+            PixelLimit::Data
+        } else if self.is_guarded(tolerance, of.guard) {
+            PixelLimit::Guard
+        } else if tolerance > of.asked.max(of.seen) {
+            PixelLimit::Budget
+        } else if of.asked < of.seen {
+            PixelLimit::Pixels
+        } else {
+            PixelLimit::Error
+        }
+    }
 }
 
 impl ErrorCurve {
@@ -254,34 +280,6 @@ impl ErrorCurve {
         };
         let share = (at / low[axis]).ln() / (high[axis] / low[axis]).ln();
         Some(low[1 - axis] * (high[1 - axis] / low[1 - axis]).powf(share))
-    }
-}
-
-/// Tolerances of a cut for a camera, in smallest spacings at the distance of the camera's target.
-#[derive(Clone, Copy)]
-pub(crate) struct CameraTolerances {
-    /// That of the error that was asked for; below 0 if there is none.
-    pub asked: f32,
-    /// That below which an error is too small to see.
-    pub seen: f32,
-    /// Maximum error over weight of a node, wherever it is.
-    pub guard: f32,
-}
-
-impl SeenSurface {
-    /// Says what decides a cut of a tolerance.
-    pub(crate) fn limit(&self, tolerance: f32, of: CameraTolerances, is_full: bool) -> PixelLimit {
-        if is_full {
-            PixelLimit::Data
-        } else if self.is_guarded(tolerance, of.guard) {
-            PixelLimit::Guard
-        } else if tolerance > of.asked.max(of.seen) {
-            PixelLimit::Budget
-        } else if of.asked < of.seen {
-            PixelLimit::Pixels
-        } else {
-            PixelLimit::Error
-        }
     }
 }
 

@@ -460,10 +460,14 @@ impl View {
         self.mesher == MesherName::Dual && (self.error.is_some() || self.budget.is_some())
     }
 
-    /// Returns the camera that the surface follows: none if β decides, or if every part is to be fine alike.
+    /// Whether the surface follows the camera, if there is one: not if β decides, or if every part is to be fine alike.
+    pub fn follows_camera(&self) -> bool {
+        self.detail == Detail::View && self.is_by_error()
+    }
+
+    /// Returns the camera that the surface follows.
     pub fn camera_in_force(&self) -> Option<&CameraJson> {
-        let follows = self.detail == Detail::View && self.is_by_error();
-        self.camera.as_deref().filter(|_| follows)
+        self.camera.as_deref().filter(|_| self.follows_camera())
     }
 
     /// Returns β, if β decides: the one that was fitted to the budget, or else the view's own.

@@ -93,6 +93,15 @@ impl Distance {
     }
 }
 
+impl std::fmt::Display for Distance {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::World(distance) => write!(f, "{distance}"),
+            Self::Spacings(n) => write!(f, "{n}vx"),
+        }
+    }
+}
+
 impl FromStr for Distance {
     type Err = String;
 
@@ -110,7 +119,7 @@ impl Serialize for Distance {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         match self {
             Self::World(distance) => serializer.serialize_f32(*distance),
-            Self::Spacings(n) => serializer.collect_str(&format_args!("{n}vx")),
+            Self::Spacings(_) => serializer.collect_str(self),
         }
     }
 }
@@ -153,7 +162,7 @@ impl ErrorLimit {
 impl std::fmt::Display for ErrorLimit {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
-            Self::Distance(distance) => MaxError::At(*distance).fmt(f),
+            Self::Distance(distance) => distance.fmt(f),
             Self::Pixels(pixels) => write!(f, "{pixels}px"),
         }
     }
@@ -183,33 +192,20 @@ impl Serialize for ErrorLimit {
 
 impl<'de> Deserialize<'de> for ErrorLimit {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        struct Forms;
-
-        impl Visitor<'_> for Forms {
-            type Value = ErrorLimit;
-
-            fn expecting(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-                f.write_str("a number of world units, or text like \"0.25vx\" or \"1px\"")
-            }
-
-            fn visit_f64<E>(self, error: f64) -> Result<ErrorLimit, E> {
-                Ok(ErrorLimit::Distance(Distance::World(error as f32)))
-            }
-
-            fn visit_u64<E: de::Error>(self, error: u64) -> Result<ErrorLimit, E> {
-                self.visit_f64(error as f64)
-            }
-
-            fn visit_i64<E: de::Error>(self, error: i64) -> Result<ErrorLimit, E> {
-                self.visit_f64(error as f64)
-            }
-
-            fn visit_str<E: de::Error>(self, text: &str) -> Result<ErrorLimit, E> {
-                text.parse().map_err(E::custom)
-            }
+        #[derive(Deserialize)]
+        #[serde(
+            untagged,
+            expecting = "expected a number of world units, or text like \"0.25vx\" or \"1px\""
+        )]
+        enum Form {
+            Number(f32),
+            Text(String),
         }
 
-        deserializer.deserialize_any(Forms)
+        match Form::deserialize(deserializer)? {
+            Form::Number(distance) => Ok(Self::Distance(Distance::World(distance))),
+            Form::Text(text) => text.parse().map_err(de::Error::custom),
+        }
     }
 }
 
@@ -239,8 +235,7 @@ impl std::fmt::Display for MaxError {
         match self {
             Self::Auto => f.write_str("auto"),
             Self::None => f.write_str("none"),
-            Self::At(Distance::World(distance)) => write!(f, "{distance}"),
-            Self::At(Distance::Spacings(n)) => write!(f, "{n}vx"),
+            Self::At(distance) => distance.fmt(f),
         }
     }
 }

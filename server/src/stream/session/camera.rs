@@ -9,7 +9,6 @@ use isopeel_view::CameraJson;
 use super::super::backend::Backend;
 use super::Session;
 use super::generation::Generation;
-use super::open_volume::OpenVolume;
 use super::surface::SurfaceSession;
 
 impl<B: Backend> Session<B> {
@@ -55,34 +54,32 @@ impl<B: Backend> Session<B> {
         let camera = self.camera_in_force();
         let is_stopped = self.stopped_camera.as_ref() == Some(&camera);
         let Some(opened) = &mut self.opened else { return };
-        if is_stopped || opened.is_awaited() || self.questions.is_asked() || !opened.has_to_follow(camera.as_ref()) {
+        if is_stopped || opened.is_awaited() || self.questions.is_asked() {
             return;
         }
-        self.questions.drop_annotation();
-        self.outbox.drop_annotations();
+        let before = self.last_generation;
         for (number, surface) in opened.surfaces_mut() {
             if surface.has_to_follow(camera.as_ref()) {
                 self.last_generation += 1;
                 surface.begin_for_camera(number, self.last_generation, camera.clone(), self.jobs);
             }
         }
-    }
-}
-
-impl OpenVolume {
-    fn has_to_follow(&self, camera: Option<&CameraJson>) -> bool {
-        self.surfaces().any(|(_, surface)| surface.has_to_follow(camera))
+        if self.last_generation > before {
+            self.questions.drop_annotation();
+            self.outbox.drop_annotations();
+        }
     }
 }
 
 impl SurfaceSession {
     /// Whether the client holds a cut of the vertex tree that was made for another camera than this one.
     fn has_to_follow(&self, camera: Option<&CameraJson>) -> bool {
-        let Some(held) = &self.shown else { return false };
+        // Without a key, an edit is in force of which no surface was asked for.
+        let (Some(held), Some(_)) = (&self.shown, &self.key) else {
+            return false;
+        };
         let is_tree_cut = held.view.fitted.is_some_and(|fitted| fitted.is_tree_cut);
-        let mut view = held.view.clone();
-        view.camera = camera.cloned().map(Box::new);
-        is_tree_cut && self.failed.is_none() && view.camera_in_force() != held.view.camera_in_force()
+        is_tree_cut && self.failed.is_none() && held.view.follows_camera() && held.view.camera.as_deref() != camera
     }
 
     /// Begins a generation of the view in force for another camera. The surface changes in one step.

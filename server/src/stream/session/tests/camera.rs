@@ -191,7 +191,7 @@ async fn followers_see_the_leaders_cut_unless_they_have_a_camera_of_their_own() 
     job.answer(Answer::last(3, shapes(&[1, 4])).of_tree());
     follows.until("done").await;
     follows.say(r#"{"type":"camera","camera":null}"#).await;
-    // The leader's cut is kept, so that nobody makes it again.
+    // The leader's cut is cached.
     follows.until("done").await;
     assert!(follows.steps.try_recv().is_err());
 }
