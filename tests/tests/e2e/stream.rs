@@ -190,6 +190,7 @@ async fn opened_says_what_rest_says_and_every_value_in_force() {
     let names = [
         "alpha",
         "cap",
+        "detail",
         "error",
         "feature",
         "featureRange",
