@@ -130,13 +130,18 @@ describe("viewer", { timeout: 4 * TIMEOUT_MS }, () => {
     await rested(page);
 
     await decideBy(page, "Error");
+    // For a camera nothing below a quarter of a pixel is refined.
+    const finer = page.getByRole("switch", { name: "Finer where you look" });
+    await finer.press("Space");
     const error = page.getByRole("textbox", { name: "Error" });
-    await error.fill("0.02");
+    await error.fill("0.02vx");
     await error.press("Enter");
     const fine = await settled(page, (now) => now.edit.error === "0.02vx" && now.statistics.tolerance < 0.03);
     assert.equal(fine.edit.triangles, undefined);
     assert.ok(fine.triangles > kept.triangles, `${fine.triangles} triangles`);
     assert.equal(await page.getByText("the budget is too small").isVisible(), false);
+    await finer.press("Space");
+    await settled(page, (now) => now.edit.detail === "view");
   });
 
   test("a colour edit changes pixels and sends nothing", async () => {
