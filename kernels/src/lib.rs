@@ -85,7 +85,7 @@ pub use sources::build_id;
 pub use stages::histogram::HistogramWork;
 pub use stages::overview::{Overview, OverviewMode, OverviewPart, OverviewValues, OverviewWork};
 pub use surface::{
-    Count, CurvePoint, ErrorEstimate, MeasuredError, Region, RemovedParts, StageTime, Surface, SurfaceError,
+    Count, CurvePoint, ErrorEstimate, MeasuredError, Region, RegionKey, RemovedParts, StageTime, Surface, SurfaceError,
     SurfaceStatistics, Vertex,
 };
 pub use synthetic::{DeviceSpeed, Shape, Synthetic};

@@ -1,13 +1,13 @@
 //! The result: regions of indexed triangles.
 
-use crate::{Level, SharedSlice};
+use crate::{Level, REGION_CELLS, SharedSlice};
 
 /// One vertex as it leaves the device: 20 bytes, on a lattice that all regions share.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, bytemuck::Pod, bytemuck::Zeroable)]
 pub struct Vertex {
-    /// Position from the region's low corner in units of 1/[`Vertex::LATTICE`] cell. Mostly 0 to 32 cells; a patched
-    /// vertex, or one of a neighbour's leaf, may lie up to 32 cells outside.
+    /// Position from the region's low corner in units of 1/[`Vertex::LATTICE`] cell. Mostly inside of the region; a patched
+    /// vertex, or one of a neighbour's leaf, may lie outside.
     pub position: [i32; 3],
     /// Unit normal towards lower values, octahedral, two signed 16-bit numbers over 32767; grid axes, world lengths.
     pub normal: [i16; 2],
@@ -55,12 +55,42 @@ pub struct ErrorEstimate {
     pub worst_leaf: f32,
 }
 
-/// The part of a surface in one region of 32³ cells. Triangles of the region share vertices. A vertex of several regions has identical
-/// bits in each, except that positions are relative to the region's origin.
+/// A region: an aligned cube of 32·2ˢ cells.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct RegionKey {
+    /// Low corner in units of 32 cells, multiples of 2ˢ.
+    pub coords: [u32; 3],
+    /// The exponent s: 0, except for regions of a cut of the vertex tree that has few triangles there
+    /// (`docs/algorithm.md#84-regions-that-grow`).
+    pub size: u8,
+}
+
+impl RegionKey {
+    /// The region of 32 cells with this low corner.
+    pub fn smallest(coords: [u32; 3]) -> Self {
+        Self { coords, size: 0 }
+    }
+
+    /// Length of an edge in units of a vertex position.
+    pub fn lattice(self) -> i32 {
+        (REGION_CELLS << self.size) as i32 * Vertex::LATTICE
+    }
+
+    /// Low corner in units of a vertex position.
+    pub fn origin(self) -> [i64; 3] {
+        self.coords
+            .map(|c| i64::from(c * REGION_CELLS) * i64::from(Vertex::LATTICE))
+    }
+}
+
+/// The part of a surface in one region. Triangles of the region share vertices. A vertex of several regions has identical bits in each,
+/// except that positions are relative to the region's origin.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Region {
-    /// Which region, in units of 32 cells.
+    /// Low corner of the region in units of 32 cells: [`RegionKey::coords`].
     pub coords: [u32; 3],
+    /// Size of the region: [`RegionKey::size`].
+    pub size: u8,
     /// Vertices.
     pub vertices: SharedSlice<Vertex>,
     /// Three per triangle, counter-clockwise seen from the side of lower values; ordered by level, finest first.
@@ -69,6 +99,22 @@ pub struct Region {
     pub level_triangles: [u32; 6],
     /// Measured distance from the full surface, if [`crate::CutParams::state_error`] requests it.
     pub error: Option<SurfaceError>,
+}
+
+impl Region {
+    /// Which region it is.
+    pub fn key(&self) -> RegionKey {
+        RegionKey {
+            coords: self.coords,
+            size: self.size,
+        }
+    }
+
+    /// Position of a vertex in the volume, in units of a vertex position.
+    pub fn position_of(&self, vertex: &Vertex) -> [i64; 3] {
+        let origin = self.key().origin();
+        [0, 1, 2].map(|axis| origin[axis] + i64::from(vertex.position[axis]))
+    }
 }
 
 /// Time that one stage spent on the device.
@@ -152,11 +198,10 @@ pub struct Count {
 /// A whole surface: one prefix, or the final one.
 #[derive(Clone, Debug)]
 pub struct Surface {
-    /// The non-empty regions that were meshed, x fastest.
+    /// The non-empty regions that were meshed, x fastest; a region of several ones is in the place of its first one.
     pub regions: Vec<Region>,
-    /// Coordinates of all meshed regions, including empty ones; `None`: all regions. The other regions are unchanged from the shown
-    /// surface.
-    pub remade: Option<Vec<[u32; 3]>>,
+    /// All regions in which the surface may differ from the shown one, including those that are empty now; `None`: all regions.
+    pub remade: Option<Vec<RegionKey>>,
     /// Undecided cubes of this level counted as leaves; [`Level::FINEST`] is the final surface.
     pub prefix: Level,
     /// Counts, error, times and memory.

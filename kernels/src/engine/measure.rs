@@ -1,7 +1,7 @@
 //! Measures the error of a simplified surface against the full one without reading the mesh back. Viewers request it when the
 //! camera is at rest.
 
-use super::peel::{Mesh, region_coordinates, triangles};
+use super::peel::{Mesh, triangles};
 use super::tree_cut::TreeMesh;
 use crate::cancel::check_cancelled;
 use crate::{
@@ -35,7 +35,7 @@ impl Engine {
         let cut = self.cut(volume, pyramid, &params, Level::FINEST)?;
         check_cancelled(cancel)?;
         let mesh = self.mesh(volume, pyramid, &params, &cut, None, cancel)?;
-        self.measured(pyramid, mesh)
+        self.measured(mesh)
     }
 
     /// As [`Engine::measure_error`], of the surface that [`Engine::tree_surface`] would make.
@@ -60,18 +60,18 @@ impl Engine {
         let (work, _) = self.cut_tree(&cutter, &params, goal, cancel)?;
         let mut meshes = cutter.meshes(&work)?;
         let TreeMesh { mesh, .. } = self.mesh_tree_cut(&cutter, &params, &work, &mut meshes, cancel)?;
-        self.measured(pyramid, mesh)
+        self.measured(mesh)
     }
 
     /// Collects the measured errors of a mesh, for the regions that have triangles.
-    fn measured(&self, pyramid: &Pyramid, mesh: Mesh) -> Result<MeasuredError> {
+    fn measured(&self, mesh: Mesh) -> Result<MeasuredError> {
         let (errors, whole) = mesh.errors.unwrap_or_default();
-        let filled = mesh.regions.iter().zip(errors).enumerate();
+        let filled = mesh.keys.iter().zip(&mesh.regions).zip(errors);
         Ok(MeasuredError {
             whole,
             regions: filled
-                .filter(|(_, (mesh, _))| triangles(mesh) > 0)
-                .map(|(index, (_, error))| (region_coordinates(pyramid, index), error))
+                .filter(|((_, mesh), _)| triangles(mesh) > 0)
+                .map(|((key, _), error)| (key.coords, error))
                 .collect(),
             stages: self.cx.take_times()?,
         })

@@ -8,8 +8,8 @@ use crate::lock::lock;
 use crate::stages::dual::Work;
 use crate::stages::{self, dual, error, march, pack, patch};
 use crate::{
-    Cancel, Count, Cut, CutParams, Engine, Error, Kept, Level, Mesher, Pyramid, Region, Result, Surface, SurfaceError,
-    SurfaceStatistics, Volume,
+    Cancel, Count, Cut, CutParams, Engine, Error, Kept, Level, Mesher, Pyramid, Region, RegionKey, Result, Surface,
+    SurfaceError, SurfaceStatistics, Volume,
 };
 use std::ops::Range;
 use std::sync::atomic::Ordering;
@@ -19,10 +19,12 @@ const READ_BACK: &str = "read back";
 
 /// A mesh on the device.
 pub(crate) struct Mesh {
+    pub keys: Vec<RegionKey>,
+    /// One for each key.
     pub regions: Vec<RegionMesh>,
     pub vertices: Buffer<layout::Vertex>,
     pub indices: Buffer<u32>,
-    /// Errors of each active region, and of the whole surface.
+    /// Errors of each region, and of the whole surface.
     pub errors: Option<(Vec<SurfaceError>, SurfaceError)>,
 }
 
@@ -76,7 +78,7 @@ impl Engine {
             }
             None => mesh.regions.clone(),
         };
-        let regions = self.read_back(pyramid, mesh)?;
+        let regions = self.read_back(mesh)?;
         let stages = self.cx.take_times()?;
         let sum = |of: fn(&RegionMesh) -> u64| meshes.iter().map(of).sum();
         let (leaves, made) = (cut.leaves(), sum(|mesh| triangles(mesh) as u64));
@@ -108,7 +110,7 @@ impl Engine {
         *lock(&cut.meshes) = Some(meshes);
         Ok(Surface {
             regions,
-            remade: remade.map(|remake| coordinates(pyramid, remake)),
+            remade: remade.map(|remake| keys_of(pyramid, remake)),
             prefix: cut.prefix,
             statistics,
         })
@@ -206,6 +208,7 @@ impl Engine {
             None => None,
         };
         Ok(Mesh {
+            keys: keys(pyramid),
             regions,
             vertices,
             indices,
@@ -247,6 +250,7 @@ impl Engine {
             region.distinct_vertices = if i == 0 { counters.vertices } else { 0 };
         }
         Ok(Mesh {
+            keys: keys(pyramid),
             regions,
             vertices,
             indices,
@@ -255,7 +259,7 @@ impl Engine {
     }
 
     /// Regions that have triangles.
-    pub(crate) fn read_back(&self, pyramid: &Pyramid, mesh: Mesh) -> Result<Vec<Region>> {
+    pub(crate) fn read_back(&self, mesh: Mesh) -> Result<Vec<Region>> {
         let filled: Vec<usize> = (0..mesh.regions.len())
             .filter(|&i| triangles(&mesh.regions[i]) > 0)
             .collect();
@@ -270,7 +274,8 @@ impl Engine {
         let parts = filled.iter().zip(vertices).zip(indices);
         Ok(parts
             .map(|((&i, vertices), indices)| Region {
-                coords: region_coordinates(pyramid, i),
+                coords: mesh.keys[i].coords,
+                size: mesh.keys[i].size,
                 vertices: vertices.cast(),
                 indices,
                 level_triangles: mesh.regions[i].triangles,
@@ -329,15 +334,13 @@ pub(super) fn all(pyramid: &Pyramid) -> Vec<Work> {
     vec![Work::Mesh; pyramid.host_regions.len()]
 }
 
-/// Coordinates of an active region, in regions.
-pub(super) fn region_coordinates(pyramid: &Pyramid, index: usize) -> [u32; 3] {
-    let [rx, ry, _] = pyramid.grid.regions();
-    let linear = pyramid.host_regions[index].region;
-    [linear % rx, linear / rx % ry, linear / rx / ry]
+/// Keys of the active regions.
+pub(super) fn keys(pyramid: &Pyramid) -> Vec<RegionKey> {
+    pyramid.region_coords().map(RegionKey::smallest).collect()
 }
 
-/// Coordinates of the active regions that a set holds.
-fn coordinates(pyramid: &Pyramid, set: &[bool]) -> Vec<[u32; 3]> {
-    let held = set.iter().enumerate().filter(|(_, held)| **held);
-    held.map(|(index, _)| region_coordinates(pyramid, index)).collect()
+/// Keys of the active regions that a set holds.
+fn keys_of(pyramid: &Pyramid, set: &[bool]) -> Vec<RegionKey> {
+    let held = keys(pyramid).into_iter().zip(set);
+    held.filter_map(|(key, is_held)| is_held.then_some(key)).collect()
 }

@@ -1,7 +1,7 @@
 //! Cuts of the vertex tree, fitted to a budget and meshed.
 
 use super::fit::ERROR_KEYS;
-use super::peel::{Mesh, triangles};
+use super::peel::{Mesh, keys, triangles};
 use super::tree_part::left_out;
 use crate::buffer::Buffer;
 use crate::cancel::check_cancelled;
@@ -112,7 +112,7 @@ impl Engine {
         check_cancelled(cancel)?;
         let TreeMesh { mesh, .. } = self.mesh_tree_cut(cutter, params, work, &mut meshes, cancel)?;
         let error = mesh.errors.as_ref().map(|(_, whole)| *whole);
-        let regions = self.read_back(pyramid, mesh)?;
+        let regions = self.read_back(mesh)?;
         let device_bytes = pyramid.device_bytes() + tree.device_bytes() + cx.pool.peak().saturating_sub(before);
         Ok(Surface {
             regions,
@@ -348,6 +348,7 @@ impl Engine {
             None => None,
         };
         let mesh = Mesh {
+            keys: keys(pyramid),
             regions,
             vertices,
             indices,

@@ -86,7 +86,7 @@ impl Engine {
         } = self.mesh_tree_cut(cutter, &params, work, &mut meshes, cancel)?;
         let filled = mesh.regions.iter().filter(|mesh| triangles(mesh) > 0);
         let bases: Vec<usize> = filled.map(|mesh| 3 * mesh.triangle_base as usize).collect();
-        let regions = self.read_back(cutter.pyramid, mesh)?;
+        let regions = self.read_back(mesh)?;
         let faults = find_faults(&regions, cancel)?;
         if faults.is_empty() {
             return Ok(Vec::new());

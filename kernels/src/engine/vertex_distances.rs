@@ -2,7 +2,7 @@
 
 use crate::Pyramid;
 use crate::stages::distance;
-use crate::{Cancel, Engine, REGION_CELLS, Region, Result, Vertex, Volume};
+use crate::{Cancel, Engine, Region, Result, Vertex, Volume};
 use std::collections::HashMap;
 
 /// The points of the mesh whose distance a vertex gets.
@@ -64,19 +64,13 @@ impl Engine {
     }
 }
 
-/// Position in units of the lattice, from the volume's first sample.
-fn lattice_position(region: &Region, vertex: &Vertex) -> [i64; 3] {
-    let corner = |i: usize| i64::from(region.coords[i] * REGION_CELLS) * i64::from(Vertex::LATTICE);
-    [0, 1, 2].map(|i| corner(i) + i64::from(vertex.position[i]))
-}
-
 /// Points of a region in cells, with the vertex that each is of.
 fn push_points(region: &Region, of: DistanceOf, points: &mut Vec<Point>, owners: &mut Vec<u32>) {
     let in_cells = |at: [i64; 3]| at.map(|x| (x as f64 / f64::from(Vertex::LATTICE)) as f32);
     let vertices: Vec<[f32; 3]> = region
         .vertices
         .iter()
-        .map(|v| in_cells(lattice_position(region, v)))
+        .map(|v| in_cells(region.position_of(v)))
         .collect();
     points.extend(vertices.iter().map(|&[x, y, z]| [x, y, z, 0.0]));
     owners.extend(0..vertices.len() as u32);
@@ -116,26 +110,26 @@ fn inner_points(parts: usize) -> impl Iterator<Item = [f32; 3]> {
 
 /// Gives vertices at one position the largest distance of all.
 fn join(regions: &[Region], distances: &mut [Vec<f32>]) {
-    let border = REGION_CELLS as i32 * Vertex::LATTICE;
-    let is_outside = |vertex: &Vertex| vertex.position.iter().any(|&x| x < 0 || x >= border);
+    let is_outside = |border: i32, vertex: &Vertex| vertex.position.iter().any(|&x| x < 0 || x >= border);
     // A vertex that several regions share lies outside all of them except one.
     let outside = |region: &Region| {
-        let shared = region.vertices.iter().filter(|vertex| is_outside(vertex));
+        let border = region.key().lattice();
+        let shared = region.vertices.iter().filter(|vertex| is_outside(border, vertex));
         shared
-            .map(|vertex| (lattice_position(region, vertex), 0.0))
+            .map(|vertex| (region.position_of(vertex), 0.0))
             .collect::<Vec<_>>()
     };
     let mut largest: HashMap<[i64; 3], f32> = regions.iter().flat_map(outside).collect();
     for (region, own) in regions.iter().zip(distances.iter()) {
         for (vertex, &distance) in region.vertices.iter().zip(own) {
-            if let Some(known) = largest.get_mut(&lattice_position(region, vertex)) {
+            if let Some(known) = largest.get_mut(&region.position_of(vertex)) {
                 *known = known.max(distance);
             }
         }
     }
     for (region, own) in regions.iter().zip(distances) {
         for (vertex, distance) in region.vertices.iter().zip(own) {
-            if let Some(&known) = largest.get(&lattice_position(region, vertex)) {
+            if let Some(&known) = largest.get(&region.position_of(vertex)) {
                 *distance = known;
             }
         }

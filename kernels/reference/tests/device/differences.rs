@@ -2,10 +2,10 @@
 
 use super::recipes::{recipes, surfaces};
 use super::*;
-use isopeel_kernels::Cut as DeviceCut;
+use isopeel_kernels::{Cut as DeviceCut, RegionKey};
 use std::collections::BTreeMap;
 
-type Parts = BTreeMap<[u32; 3], Region>;
+type Parts = BTreeMap<RegionKey, Region>;
 
 /// Puts what was made into the surface that was shown, as a client does.
 fn replace(shown: &Parts, made: &Surface) -> Parts {
@@ -13,11 +13,11 @@ fn replace(shown: &Parts, made: &Surface) -> Parts {
         None => Parts::new(),
         Some(remade) => shown
             .iter()
-            .filter(|(coords, _)| !remade.contains(coords))
+            .filter(|(key, _)| !remade.contains(key))
             .map(|(c, r)| (*c, r.clone()))
             .collect(),
     };
-    parts.extend(made.regions.iter().map(|region| (region.coords, region.clone())));
+    parts.extend(made.regions.iter().map(|region| (region.key(), region.clone())));
     parts
 }
 
