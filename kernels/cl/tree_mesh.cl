@@ -1,6 +1,8 @@
-// tree_mesh: meshes of cuts of the vertex tree (docs/algorithm.md#8-cuts-of-the-vertex-tree). One work-group a region.
+// tree_mesh: meshes of cuts of the vertex tree (docs/algorithm.md#8-cuts-of-the-vertex-tree). One work-group a region: tree_sign and
+// tree_emit one of 32^3 cells, tree_index and tree_vertices one of the mesh, which may consist of several.
 //
 //   kernel         writes
+//   tree_sign      signatures of the regions' meshes
 //   tree_emit      the triangles that tree_test found, between leaves
 //   tree_index     indices of vertices in the region's mesh
 //   tree_vertices  vertices
@@ -20,22 +22,66 @@
 #include "lib/tree_offset.h"
 #include "lib/vertices.h"
 
-// Writes a region's triangles by level, finest first, inside a level in the order of the full mesh. `left`: of tree_test.
+// Mixes the bits of a number: each bit of the result depends on all of them (S. Vigna, splitmix64).
+INLINED ulong mix_bits(ulong bits) {
+    bits += 0x9e3779b97f4a7c15ul;
+    bits = (bits ^ bits >> 30) * 0xbf58476d1ce4e5b9ul;
+    bits = (bits ^ bits >> 27) * 0x94d049bb133111ebul;
+    return bits ^ bits >> 31;
+}
+
+// A signature of a leaf's vertex: of its number, and of the sums by which its position differs from cut to cut.
+INLINED ulong sign_leaf(uint leaf, uint points, __global const uint2 *offset_sums) {
+    const uint2 sums = leaf < points ? (uint2)(0, 0) : offset_sums[leaf - points];
+    return mix_bits(mix_bits(leaf) ^ ((ulong)sums.y << 32 | sums.x));
+}
+
+// Adds up signatures of a region's triangles, so that their order does not count. Two words a region. The mesh of a region is the same in two
+// cuts of one tree if its signature is, except with a probability of 10^-19. `left`: of tree_test. `cut_meshes`: the number of triangles.
+__kernel __attribute__((reqd_work_group_size(WIDE_GROUP, 1, 1)))
+void tree_sign(const uint points, __global const TreeRegion *tree_regions, __global const RegionMesh *meshes,
+               __global const uint *corners, __global const uint *leaves, __global const uint *left,
+               __global const RegionMesh *cut_meshes, __global const uint2 *offset_sums, __global uint2 *signatures) {
+    __local uint low, high;
+    const uint lid = get_local_id(0), group = (uint)get_group_id(0);
+    const uint first = list_base(meshes + group, tree_regions + group), count = count_triangles(cut_meshes + group);
+    CutView cut;
+    cut.corners = corners;
+    cut.leaves = leaves;
+    if (lid == 0) low = high = 0;
+    barrier(CLK_LOCAL_MEM_FENCE);
+    uint own_low = 0, own_high = 0;
+    for (uint i = lid; i < count; i += WIDE_GROUP) {
+        CutTriangle triangle;
+        nth_triangle(&triangle, &cut, left[first + i]);
+        const ulong a = sign_leaf(triangle.a, points, offset_sums), b = sign_leaf(triangle.b, points, offset_sums);
+        const ulong c = sign_leaf(triangle.c, points, offset_sums);
+        const ulong bits = mix_bits(mix_bits(mix_bits(a + triangle.level) + b) + c);
+        own_low += (uint)bits;
+        own_high += (uint)(bits >> 32);
+    }
+    add_local(&low, own_low);
+    add_local(&high, own_high);
+    barrier(CLK_LOCAL_MEM_FENCE);
+    if (lid == 0) signatures[group] = (uint2)(low, high);
+}
+
+// Writes a region's triangles by level, finest first, inside a level in the order of the full mesh. `left`: of tree_test. `level_starts`: of
+// each region and level the place of the first triangle; NONE if the region is not made.
 __kernel __attribute__((reqd_work_group_size(WIDE_GROUP, 1, 1)))
 void tree_emit(__global const TreeRegion *tree_regions, __global const RegionMesh *meshes, __global const uint *corners,
                __global const uint *leaves, __global const uint *left, __global const RegionMesh *cut_meshes,
-               __global uint *cut_corners) {
+               __global const uint *level_starts, __global uint *cut_corners) {
     __local uint scratch[WIDE_GROUP];
     const uint lid = get_local_id(0), group = (uint)get_group_id(0);
+    if (level_starts[6 * group] == NONE) return;
     const uint first = list_base(meshes + group, tree_regions + group);
     CutView cut;
     cut.corners = corners;
     cut.leaves = leaves;
-    uint next[6], count = 0;
-    for (uint level = 0; level < 6; level++) {
-        next[level] = cut_meshes[group].triangle_base + count;
-        count += cut_meshes[group].triangles[level];
-    }
+    const uint count = count_triangles(cut_meshes + group);
+    uint next[6];
+    for (uint level = 0; level < 6; level++) next[level] = level_starts[6 * group + level];
     for (uint begin = 0; begin < count; begin += WIDE_GROUP) {
         CutTriangle triangle;
         triangle.level = NONE;
@@ -95,19 +141,21 @@ INLINED uint number_vertices(const LeafNumbers *of, __local uint *scratch, __glo
     return vertices;
 }
 
-// `own_numbers`: of all leaves; working memory. `table_leaves`, `table_numbers`: a hash table a region, from `table_bases` on, up to that of
+// `places`: of each region of the mesh the number of its first one of 32^3 cells, and the number in the grid of the one at its low corner.
+// `own_numbers`: of all leaves; working memory, used for the leaves of the first region. `table_leaves`, `table_numbers`: a hash table a region, from `table_bases` on, up to that of
 // the next region; a power of two each. `vertex_leaves`: leaf of each vertex, from the region's first corner on.
 __kernel __attribute__((reqd_work_group_size(WIDE_GROUP, 1, 1)))
 void tree_index(const uint points, __global const Region *regions, __global const TreeRegion *tree_regions,
-                __global const uint *table_bases, __global const uint *cut_corners, __global uint *own_numbers,
+                __global const uint2 *places, __global const uint *table_bases, __global const uint *cut_corners, __global uint *own_numbers,
                 __global uint *table_leaves, __global uint *table_numbers, __global uint *indices, __global uint *vertex_leaves,
                 __global RegionMesh *cut_meshes) {
     __local uint scratch[WIDE_GROUP], others;
     const uint lid = get_local_id(0), group = (uint)get_group_id(0), first = 3 * cut_meshes[group].triangle_base;
+    const uint own = places[group].x;
     LeafNumbers of;
-    find_points(&of.own, regions + group, tree_regions + group);
-    of.node_base = tree_regions[group].node_base;
-    of.nodes = tree_regions[group].nodes;
+    find_points(&of.own, regions + own, tree_regions + own);
+    of.node_base = tree_regions[own].node_base;
+    of.nodes = tree_regions[own].nodes;
     of.points = points;
     of.own_numbers = own_numbers;
     of.other_leaves = table_leaves + table_bases[group];
@@ -116,7 +164,7 @@ void tree_index(const uint points, __global const Region *regions, __global cons
     uint own_others = 0;
     if (lid == 0) others = 0;
     barrier(CLK_LOCAL_MEM_FENCE);
-    // Clears only the entries in use: those of the group's own leaves among these corners.
+    // Clears only the entries in use: those of the first region's leaves among these corners.
     for (uint i = lid; i < count; i += WIDE_GROUP) {
         const uint leaf = cut_corners[first + i];
         if (is_own_leaf(&of, leaf)) own_numbers[leaf] = NONE;
@@ -138,12 +186,12 @@ __kernel __attribute__((reqd_work_group_size(WIDE_GROUP, 1, 1)))
 void tree_vertices(const TreeVerticesArgs args, __global const uint *region_index, __global const Region *regions,
                    __global const Brick *bricks, __global const Node *nodes,
                    __global const VertexRecord *vertex_records, __global const TreeNode *tree_nodes, __global const int4 *points,
-                   __global const uint2 *offset_sums, __global const RegionMesh *cut_meshes, __global const uint *vertex_leaves,
-                   __global Vertex *vertices) {
+                   __global const uint2 *offset_sums, __global const uint2 *places, __global const RegionMesh *cut_meshes,
+                   __global const uint *vertex_leaves, __global Vertex *vertices) {
     const Grid grid = args.grid;
     const uint group = (uint)get_group_id(0);
     const RegionMesh mesh = cut_meshes[group];
-    const int3 origin = convert_int3(region_origin(grid, regions[group].region));
+    const int3 origin = convert_int3(region_origin(grid, places[group].y));
     for (uint i = get_local_id(0); i < mesh.vertices; i += WIDE_GROUP) {
         const uint leaf = vertex_leaves[3 * mesh.triangle_base + i];
         // First the point or node, then the cell whose slot the point has.

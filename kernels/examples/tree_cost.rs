@@ -37,9 +37,10 @@ fn goal(max_triangles: u64) -> TreeGoal {
 impl Tree<'_> {
     fn surface(&self, max_triangles: u64) -> Result<Surface> {
         let (engine, volume, pyramid) = (self.engine, self.volume, self.pyramid);
+        let (tree, goal) = (&self.tree, goal(max_triangles));
         Ok(engine
-            .tree_surface(volume, pyramid, &self.tree, &self.params, &goal(max_triangles), &Never)?
-            .0)
+            .tree_surface(volume, pyramid, tree, &self.params, &goal, None, &Never)?
+            .surface)
     }
 
     /// Prints how many triangles cuts have, their distance from the full surface and their hash.

@@ -66,7 +66,9 @@ pub use engine::{
     cut::{Differences, Kept},
     fit::BUDGET_FIT,
     query::{CURVE_POINTS, DistributionCounts, MAX_BINS, Probed, ProbedLeaf, ProbedPart, ShownCut},
+    tree_cut::TreeSurface,
     tree_refine::{RefinementCost, RegionVertex},
+    tree_regions::TreeRegions,
     upload::Upload,
     vertex_distances::DistanceOf,
 };

@@ -76,11 +76,7 @@ impl Pyramid {
     pub fn regions_in_morton_order(&self) -> Vec<usize> {
         let all: Vec<[u32; 3]> = self.region_coords().collect();
         let mut order: Vec<usize> = (0..all.len()).collect();
-        order.sort_by_cached_key(|&index| {
-            let coords = all[index];
-            let spread = |c: u32| (0..21).fold(0u64, |bits, i| bits | (u64::from(c) >> i & 1) << (3 * i));
-            spread(coords[0]) | spread(coords[1]) << 1 | spread(coords[2]) << 2
-        });
+        order.sort_by_cached_key(|&index| morton(all[index]));
         order
     }
 
@@ -103,4 +99,10 @@ impl Pyramid {
             + self.nodes.allocated_bytes()
             + self.vertex_records.allocated_bytes()
     }
+}
+
+/// Returns the place of a region in Morton order.
+pub(crate) fn morton(coords: [u32; 3]) -> u64 {
+    let spread = |c: u32| (0..21).fold(0u64, |bits, i| bits | (u64::from(c) >> i & 1) << (3 * i));
+    spread(coords[0]) | spread(coords[1]) << 1 | spread(coords[2]) << 2
 }

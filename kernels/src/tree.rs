@@ -10,6 +10,8 @@ use std::sync::{Arc, Mutex, OnceLock};
 /// A hierarchy over the vertices of a pyramid's full dual mesh (`docs/algorithm.md#7-vertex-tree`). If tolerance, budget or importance
 /// change, the same tree is cut again ([`crate::Engine::tree_surface`]).
 pub struct VertexTree {
+    /// Id, unique in the process.
+    pub(crate) id: u64,
     /// Id of its pyramid.
     pub(crate) pyramid: u64,
     /// Whether the pyramid's volume is padded by a sample on each side.

@@ -211,6 +211,7 @@ fn tree(engine: &Engine, volume: &Volume, pyramid: &Pyramid) {
         // Leaves of all levels, and parts that vanish.
         (-1.0, 0, PartFilter::default(), true, Some(Arc::new(weights))),
     ];
+    let mut shown = None;
     for (tolerance, max_triangles, without, may_vanish, weights) in cases {
         let goal = TreeGoal {
             tolerance,
@@ -220,10 +221,11 @@ fn tree(engine: &Engine, volume: &Volume, pyramid: &Pyramid) {
             may_vanish,
             weights,
         };
-        let (surface, _) = engine
-            .tree_surface(volume, pyramid, &tree, &params, &goal, &Never)
+        let surface = engine
+            .tree_surface(volume, pyramid, &tree, &params, &goal, shown.as_ref(), &Never)
             .expect("cut the tree");
-        let made = surface.statistics.triangles;
+        shown = surface.regions;
+        let made = surface.surface.statistics.triangles;
         assert!(
             0 < made && made < tree.full_triangles(),
             "{made} triangles of {}",

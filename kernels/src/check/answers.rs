@@ -54,6 +54,8 @@ pub(super) const TREE: Known = Known {
 };
 /// Triangles of the tree's cut with weights of regions.
 pub(super) const WEIGHTED_TRIANGLES: u64 = 1213;
+/// Regions in which that cut differs from the other one.
+pub(super) const WEIGHTED_REGIONS: u64 = 5;
 /// Nodes of this cut that move.
 pub(super) const TREE_MOVED: u64 = 473;
 /// The full surface by marching cubes.

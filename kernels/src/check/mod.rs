@@ -275,15 +275,16 @@ impl<'a> Check<'a> {
     }
 
     fn tree_cut(&mut self) -> Result<(), Finding> {
-        let surface = self.engine.tree_surface(
+        let made = self.engine.tree_surface(
             self.volume(),
             self.pyramid(),
             self.built_tree(),
             &tree_params(),
             &tree_goal(),
+            None,
             &Never,
         )?;
-        TREE.check_nearly(&surface.0)?;
+        TREE.check_nearly(&made.surface)?;
         let built = (self.volume(), self.pyramid(), self.built_tree());
         let moved = self.engine.moved_nodes(built, &tree_params(), &tree_goal())?;
         nearly("number of nodes that move", moved, TREE_MOVED)?;
@@ -300,19 +301,22 @@ impl<'a> Check<'a> {
             weights: Some(Arc::new(weights)),
             ..tree_goal()
         };
-        let (surface, _) = self.engine.tree_surface(
+        let weighted = self.engine.tree_surface(
             self.volume(),
             self.pyramid(),
             self.built_tree(),
             &tree_params(),
             &goal,
+            made.regions.as_ref(),
             &Never,
         )?;
         nearly(
             "triangles of a weighted cut",
-            surface.statistics.triangles,
+            weighted.surface.statistics.triangles,
             WEIGHTED_TRIANGLES,
-        )
+        )?;
+        let remade = weighted.surface.remade.map_or(0, |remade| remade.len() as u64);
+        nearly("regions that differ from another cut", remade, WEIGHTED_REGIONS)
     }
 
     fn error(&mut self) -> Result<(), Finding> {

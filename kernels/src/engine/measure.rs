@@ -3,6 +3,7 @@
 
 use super::peel::{Mesh, triangles};
 use super::tree_cut::TreeMesh;
+use super::tree_regions::MeshRegions;
 use crate::cancel::check_cancelled;
 use crate::{
     Cancel, CutParams, Engine, Error, Level, MeasuredError, Mesher, Pyramid, Result, TreeGoal, VertexTree, Volume,
@@ -58,8 +59,9 @@ impl Engine {
         };
         let cutter = self.cutter_for(volume, pyramid, tree, &params, goal, cancel)?;
         let (work, _) = self.cut_tree(&cutter, &params, goal, cancel)?;
-        let mut meshes = cutter.meshes(&work)?;
-        let TreeMesh { mesh, .. } = self.mesh_tree_cut(&cutter, &params, &work, &mut meshes, cancel)?;
+        let (meshes, offset_sums) = (cutter.meshes(&work)?, cutter.offsets(&work)?);
+        let all = MeshRegions::all(pyramid);
+        let TreeMesh { mesh, .. } = self.mesh_tree_cut(&cutter, &params, &work, &meshes, &all, offset_sums, cancel)?;
         self.measured(mesh)
     }
 

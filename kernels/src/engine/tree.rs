@@ -9,6 +9,10 @@ use crate::stages::tree;
 use crate::stages::tree_cut::LEAF_NUMBER;
 use crate::tree::TreeLevels;
 use crate::{Cancel, Cut, CutParams, Engine, Error, Level, Pyramid, Result, VertexTree, Volume};
+use std::sync::atomic::{AtomicU64, Ordering};
+
+/// Id of the next tree, as with pyramids.
+static TREES: AtomicU64 = AtomicU64::new(0);
 
 /// Points and nodes that a leaf's number can name.
 const MAX_LEAVES: usize = LEAF_NUMBER as usize + 1;
@@ -95,6 +99,7 @@ impl Engine {
         let lives = tree::lives(cx, volume, pyramid, point_count, &built)?;
         cx.pause(tree::STAGE, cancel)?;
         Ok(VertexTree {
+            id: TREES.fetch_add(1, Ordering::Relaxed),
             pyramid: pyramid.id,
             cap: params.cap != 0,
             blocks,

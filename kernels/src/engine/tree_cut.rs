@@ -1,8 +1,9 @@
 //! Cuts of the vertex tree, fitted to a budget and meshed.
 
 use super::fit::ERROR_KEYS;
-use super::peel::{Mesh, keys, triangles};
+use super::peel::{Mesh, triangles};
 use super::tree_part::left_out;
+use super::tree_regions::{MeshRegions, TreeRegions};
 use crate::buffer::Buffer;
 use crate::cancel::check_cancelled;
 use crate::cut::sum_levels;
@@ -10,6 +11,7 @@ use crate::layout::{RegionMesh, TreeCutRegion};
 use crate::lock::lock;
 use crate::stages::fit::{INNER_BINS, Keys};
 use crate::stages::tree_cut::{CutWork, Cutter};
+use crate::stages::tree_mesh::CutMesh;
 use crate::stages::{cut, error, tree_cut};
 use crate::tree::{TreeCut, TreeGoal};
 use crate::{
@@ -34,13 +36,28 @@ pub(super) struct TreeMesh {
     offset_sums: Buffer<u32>,
 }
 
+/// The surface of a cut of a vertex tree.
+pub struct TreeSurface {
+    /// The surface, or the regions in which it differs from a shown one.
+    pub surface: Surface,
+    /// Tolerance of the cut.
+    pub tolerance: f32,
+    /// Tells in which regions the surface of another cut differs; `None` if the error was measured.
+    pub regions: Option<TreeRegions>,
+}
+
 impl Engine {
     /// Cuts a tree and meshes the cut. The topology is that of the full dual mesh without removed parts, and without those that vanish if
     /// the goal allows that. So there is a minimum number of triangles: if the budget is below this minimum, or below what the guard allows,
-    /// the surface exceeds the budget. Returns the tolerance as well.
+    /// the surface exceeds the budget. With `shown`, the regions of a surface that is shown, only the regions that differ from it are made
+    /// ([`Surface::remade`]); all are if it is of another tree or feature, or if the error is measured.
     ///
     /// # Errors
     /// [`Error::Cancelled`], or an error of the device.
+    #[expect(
+        clippy::too_many_arguments,
+        reason = "the surface's data, what it is cut for, and what is shown"
+    )]
     pub fn tree_surface(
         &self,
         volume: &Volume,
@@ -48,20 +65,26 @@ impl Engine {
         tree: &VertexTree,
         params: &CutParams,
         goal: &TreeGoal,
+        shown: Option<&TreeRegions>,
         cancel: &dyn Cancel,
-    ) -> Result<(Surface, f32)> {
+    ) -> Result<TreeSurface> {
         let before = self.cx.pool.restart();
         let cutter = self.cutter_for(volume, pyramid, tree, params, goal, cancel)?;
         let (work, tolerance) = self.cut_tree(&cutter, params, goal, cancel)?;
-        let surface = self.surface_of_tree_cut(&cutter, params, &work, before, cancel)?;
+        let (surface, regions) = self.surface_of_tree_cut(&cutter, params, &work, shown, before, cancel)?;
         keep(&cutter, params, goal, work);
-        Ok((surface, tolerance))
+        Ok(TreeSurface {
+            surface,
+            tolerance,
+            regions,
+        })
     }
 
     /// As [`Engine::tree_surface`], but the cut is not kept for queries and measuring, as a finer cut replaces it soon.
     ///
     /// # Errors
     /// As [`Engine::tree_surface`].
+    #[expect(clippy::too_many_arguments, reason = "as `tree_surface`")]
     pub fn tree_prefix(
         &self,
         volume: &Volume,
@@ -69,12 +92,18 @@ impl Engine {
         tree: &VertexTree,
         params: &CutParams,
         goal: &TreeGoal,
+        shown: Option<&TreeRegions>,
         cancel: &dyn Cancel,
-    ) -> Result<Surface> {
+    ) -> Result<TreeSurface> {
         let before = self.cx.pool.restart();
         let cutter = self.cutter_for(volume, pyramid, tree, params, goal, cancel)?;
-        let (work, _) = self.cut_tree(&cutter, params, goal, cancel)?;
-        self.surface_of_tree_cut(&cutter, params, &work, before, cancel)
+        let (work, tolerance) = self.cut_tree(&cutter, params, goal, cancel)?;
+        let (surface, regions) = self.surface_of_tree_cut(&cutter, params, &work, shown, before, cancel)?;
+        Ok(TreeSurface {
+            surface,
+            tolerance,
+            regions,
+        })
     }
 
     /// Returns how many nodes of a cut move, because the sums of their offsets are not 0. For the check.
@@ -86,21 +115,24 @@ impl Engine {
     ) -> Result<u64> {
         let cutter = self.cutter(volume, pyramid, tree, params);
         let (work, _) = self.cut_tree(&cutter, params, goal, &Never)?;
-        let (mut meshes, _) = self.count_tree_cut(&cutter, &work)?;
-        let made = self.mesh_tree_cut(&cutter, params, &work, &mut meshes, &Never)?;
+        let (meshes, _) = self.count_tree_cut(&cutter, &work)?;
+        let (regions, offset_sums) = (MeshRegions::all(pyramid), cutter.offsets(&work)?);
+        let made = self.mesh_tree_cut(&cutter, params, &work, &meshes, &regions, offset_sums, &Never)?;
         let sums = self.cx.read("check", &made.offset_sums, 2 * tree.built.nodes.len())?;
         Ok(sums.chunks_exact(2).filter(|sums| sums[0] != 0 || sums[1] != 0).count() as u64)
     }
 
-    /// The mesh of a cut on the host. `before`: bytes of the pool when the work began.
+    /// The mesh of a cut on the host, and its regions. `shown`: as in [`Engine::tree_surface`]. `before`: bytes of the pool when the work
+    /// began.
     pub(super) fn surface_of_tree_cut(
         &self,
         cutter: &Cutter<'_>,
         params: &CutParams,
         work: &CutWork,
+        shown: Option<&TreeRegions>,
         before: u64,
         cancel: &dyn Cancel,
-    ) -> Result<Surface> {
+    ) -> Result<(Surface, Option<TreeRegions>)> {
         let Cutter {
             cx,
             volume,
@@ -108,15 +140,28 @@ impl Engine {
             tree,
             ..
         } = *cutter;
-        let (mut meshes, statistics) = self.count_tree_cut(cutter, work)?;
+        let (meshes, statistics) = self.count_tree_cut(cutter, work)?;
         check_cancelled(cancel)?;
-        let TreeMesh { mesh, .. } = self.mesh_tree_cut(cutter, params, work, &mut meshes, cancel)?;
+        let offset_sums = cutter.offsets(work)?;
+        let (mut made, mut now, mut remade) = (MeshRegions::all(pyramid), None, None);
+        // The error is measured by active regions.
+        if !params.state_error {
+            made = MeshRegions::joined(pyramid.region_coords(), &meshes);
+            let words = cutter.sign(work, &offset_sums)?;
+            let signed = made.signatures(&words, tree.id, params.feature_range);
+            if let Some(shown) = shown.filter(|shown| shown.is_like(&signed)) {
+                made = made.without_those_of(shown, &signed);
+                remade = Some(signed.differences(shown));
+            }
+            now = Some(signed);
+        }
+        let TreeMesh { mesh, .. } = self.mesh_tree_cut(cutter, params, work, &meshes, &made, offset_sums, cancel)?;
         let error = mesh.errors.as_ref().map(|(_, whole)| *whole);
         let regions = self.read_back(mesh)?;
         let device_bytes = pyramid.device_bytes() + tree.device_bytes() + cx.pool.peak().saturating_sub(before);
-        Ok(Surface {
+        let surface = Surface {
             regions,
-            remade: None,
+            remade,
             prefix: Level::FINEST,
             statistics: SurfaceStatistics {
                 error,
@@ -125,7 +170,8 @@ impl Engine {
                 volume_bytes: volume.sample_bytes() + pyramid.feature_bytes,
                 ..statistics
             },
-        })
+        };
+        Ok((surface, now))
     }
 
     /// Returns a cutter of a tree, which must belong to this pyramid.
@@ -295,13 +341,17 @@ impl Engine {
         Ok((meshes, statistics))
     }
 
-    /// The mesh of a cut, with its error if `params` ask for it.
+    /// The mesh of a cut in some regions, with its error if `params` ask for it. `meshes`: triangles of each active region. `offset_sums`:
+    /// from [`Cutter::offsets`].
+    #[expect(clippy::too_many_arguments, reason = "the cut, and what is made of it")]
     pub(super) fn mesh_tree_cut(
         &self,
         cutter: &Cutter<'_>,
         params: &CutParams,
         work: &CutWork,
-        meshes: &mut [RegionMesh],
+        meshes: &[RegionMesh],
+        made: &MeshRegions,
+        offset_sums: Buffer<u32>,
         cancel: &dyn Cancel,
     ) -> Result<TreeMesh> {
         let Cutter {
@@ -312,19 +362,31 @@ impl Engine {
             ..
         } = *cutter;
         let layout = cut::layout(params, Level::FINEST);
-        let (device_meshes, _, made) = self.with_bases(tree_cut::STAGE, meshes)?;
-        let mesh = cutter.emit(work, device_meshes, made)?;
-        let (indices, vertex_leaves, mut regions) = cutter.index(&mesh, &table_bases(meshes))?;
+        let mut made_meshes = made.meshes(meshes);
+        let (device_meshes, _, triangles) = self.with_bases(tree_cut::STAGE, &mut made_meshes)?;
+        let mesh = CutMesh {
+            corners: cutter.emit(work, &made.level_starts(&made_meshes, meshes), triangles)?,
+            meshes: device_meshes,
+            places: cx.upload(tree_cut::STAGE, &made.places(pyramid.grid.regions()))?,
+        };
+        let (indices, vertex_leaves, mut regions) = cutter.index(&mesh, &table_bases(&made_meshes))?;
+        let CutMesh { corners, places, .. } = mesh;
         let corner_slots = params
             .state_error
-            .then(|| error::tree_corners(cx, volume, pyramid, tree, &mesh.corners))
+            .then(|| error::tree_corners(cx, volume, pyramid, tree, &corners))
             .transpose()?;
-        drop(mesh);
+        drop(corners);
         check_cancelled(cancel)?;
         let (device_meshes, vertex_count, _) = self.with_bases(tree_cut::STAGE, &mut regions)?;
         let vertices = cx.buffer(tree_cut::STAGE, vertex_count)?;
-        let offset_sums = cutter.offsets(work, &device_meshes)?;
-        cutter.vertices(&layout, &offset_sums, &device_meshes, &vertex_leaves, &vertices)?;
+        cutter.vertices(
+            &layout,
+            &offset_sums,
+            &places,
+            &device_meshes,
+            &vertex_leaves,
+            &vertices,
+        )?;
         self.cx.pause(tree_cut::STAGE, cancel)?;
         let errors = match &corner_slots {
             Some(corner_slots) => {
@@ -348,7 +410,7 @@ impl Engine {
             None => None,
         };
         let mesh = Mesh {
-            keys: keys(pyramid),
+            keys: made.keys.clone(),
             regions,
             vertices,
             indices,

@@ -2,6 +2,7 @@
 
 use super::peel::triangles;
 use super::tree_cut::TreeMesh;
+use super::tree_regions::MeshRegions;
 use crate::cancel::check_cancelled;
 use crate::stages::tree_cut::{CutWork, Cutter, LEAF_NUMBER, STAGE};
 use crate::tree::TreeGoal;
@@ -62,7 +63,7 @@ impl Engine {
             (tolerance, _) = self.repair_cut(&cutter, importances.as_deref(), goal, limit, &mut work, cancel)?;
             cost.rounds += 1;
         }
-        let surface = self.surface_of_tree_cut(&cutter, params, &work, before, cancel)?;
+        let (surface, _) = self.surface_of_tree_cut(&cutter, params, &work, None, before, cancel)?;
         Ok((surface, tolerance, cost))
     }
 
@@ -79,11 +80,12 @@ impl Engine {
             state_error: false,
             ..params.clone()
         };
-        let (mut meshes, _) = self.count_tree_cut(cutter, work)?;
+        let (meshes, _) = self.count_tree_cut(cutter, work)?;
         check_cancelled(cancel)?;
+        let (all, offset_sums) = (MeshRegions::all(cutter.pyramid), cutter.offsets(work)?);
         let TreeMesh {
             mesh, vertex_leaves, ..
-        } = self.mesh_tree_cut(cutter, &params, work, &mut meshes, cancel)?;
+        } = self.mesh_tree_cut(cutter, &params, work, &meshes, &all, offset_sums, cancel)?;
         let filled = mesh.regions.iter().filter(|mesh| triangles(mesh) > 0);
         let bases: Vec<usize> = filled.map(|mesh| 3 * mesh.triangle_base as usize).collect();
         let regions = self.read_back(mesh)?;

@@ -4,6 +4,7 @@ use super::args::kernel_args;
 use super::tree_cut::{CutWork, Cutter, STAGE};
 use crate::Result;
 use crate::buffer::Buffer;
+use crate::context::Arg;
 use crate::layout::{CutParams, Grid, RegionMesh, Vertex};
 
 kernel_args! {
@@ -24,17 +25,39 @@ kernel_args! {
 pub struct CutMesh {
     /// Three leaves a triangle.
     pub corners: Buffer<u32>,
-    /// Range of each region's triangles.
+    /// Range of the triangles of each region of the mesh.
     pub meshes: Buffer<RegionMesh>,
+    /// Of each region of the mesh the number of its first active region, and of the one at its low corner in the grid.
+    pub places: Buffer<[u32; 2]>,
 }
 
 impl Cutter<'_> {
-    /// Makes the triangles. `meshes`: the output range of each region.
-    pub fn emit(&self, work: &CutWork, meshes: Buffer<RegionMesh>, triangles: usize) -> Result<CutMesh> {
-        let made = CutMesh {
-            corners: self.cx.buffer(STAGE, 3 * triangles)?,
-            meshes,
-        };
+    /// Returns two words for each active region, which are a signature of its mesh among cuts of this tree. `offset_sums`: from
+    /// [`Cutter::offsets`].
+    pub fn sign(&self, work: &CutWork, offset_sums: &Buffer<u32>) -> Result<Vec<u32>> {
+        let signatures: Buffer<u32> = self.cx.buffer(STAGE, 2 * self.regions())?;
+        self.launch_wide(
+            "tree_sign",
+            &[
+                &self.tree.point_count(),
+                &self.tree.built.regions,
+                &self.tree.meshes,
+                &self.tree.corners,
+                &work.leaves,
+                &work.left,
+                &work.meshes,
+                offset_sums,
+                &signatures,
+            ],
+        )?;
+        self.cx.read(STAGE, &signatures, signatures.len())
+    }
+
+    /// Makes the triangles of some regions. `level_starts`: of each active region and level, the place of the first triangle, or
+    /// [`crate::layout::NONE`] if the region is not made.
+    pub fn emit(&self, work: &CutWork, level_starts: &[u32], triangles: usize) -> Result<Buffer<u32>> {
+        let corners = self.cx.buffer(STAGE, 3 * triangles)?;
+        let level_starts = self.cx.upload(STAGE, level_starts)?;
         self.launch_wide(
             "tree_emit",
             &[
@@ -43,11 +66,12 @@ impl Cutter<'_> {
                 &self.tree.corners,
                 &work.leaves,
                 &work.left,
-                &made.meshes,
-                &made.corners,
+                &work.meshes,
+                &level_starts,
+                &corners,
             ],
         )?;
-        Ok(made)
+        Ok(corners)
     }
 
     /// Replaces leaves by indices of vertices in their region's mesh. `table_bases`: the offset of each region's hash table, and the end of
@@ -60,12 +84,14 @@ impl Cutter<'_> {
         let table_numbers: Buffer<u32> = self.cx.buffer(STAGE, entries)?;
         let indices = self.cx.buffer(STAGE, mesh.corners.len())?;
         let vertex_leaves = self.cx.buffer(STAGE, mesh.corners.len())?;
-        self.launch_wide(
+        self.launch_made(
             "tree_index",
+            mesh.places.len(),
             &[
                 &self.tree.point_count(),
                 &self.pyramid.regions,
                 &self.tree.built.regions,
+                &mesh.places,
                 &bases,
                 &mesh.corners,
                 &own_numbers,
@@ -76,7 +102,7 @@ impl Cutter<'_> {
                 &mesh.meshes,
             ],
         )?;
-        let meshes = self.cx.read(STAGE, &mesh.meshes, self.regions())?;
+        let meshes = self.cx.read(STAGE, &mesh.meshes, mesh.meshes.len())?;
         Ok((indices, vertex_leaves, meshes))
     }
 
@@ -85,6 +111,7 @@ impl Cutter<'_> {
         &self,
         params: &CutParams,
         offset_sums: &Buffer<u32>,
+        places: &Buffer<[u32; 2]>,
         meshes: &Buffer<RegionMesh>,
         vertex_leaves: &Buffer<u32>,
         vertices: &Buffer<Vertex>,
@@ -95,8 +122,9 @@ impl Cutter<'_> {
             cap: self.tree.cap.into(),
             points: self.tree.point_count(),
         };
-        self.launch_wide(
+        self.launch_made(
             "tree_vertices",
+            places.len(),
             &[
                 &args,
                 &self.pyramid.region_index,
@@ -107,10 +135,16 @@ impl Cutter<'_> {
                 &self.tree.built.nodes,
                 &self.tree.points,
                 offset_sums,
+                places,
                 meshes,
                 vertex_leaves,
                 vertices,
             ],
         )
+    }
+
+    /// One wide work-group for each region of a mesh.
+    fn launch_made(&self, kernel: &str, regions: usize, args: &[&dyn Arg]) -> Result<()> {
+        self.launch_groups(STAGE, kernel, regions, self.cx.tuning.wide_group, args)
     }
 }

@@ -4,7 +4,7 @@ use super::args::kernel_args;
 use super::tree_cut::{CutWork, Cutter, STAGE};
 use crate::Result;
 use crate::buffer::Buffer;
-use crate::layout::{Grid, RegionMesh};
+use crate::layout::Grid;
 
 kernel_args! {
     /// Arguments of `tree_offsets`.
@@ -20,8 +20,8 @@ kernel_args! {
 
 impl Cutter<'_> {
     /// Returns two sums of offsets for each node (`cl/lib/tree_offset.h`): over the triangles of its own region, and over those of other
-    /// regions. `meshes`: the number of triangles of each region's mesh.
-    pub fn offsets(&self, work: &CutWork, meshes: &Buffer<RegionMesh>) -> Result<Buffer<u32>> {
+    /// regions.
+    pub fn offsets(&self, work: &CutWork) -> Result<Buffer<u32>> {
         let Self {
             cx,
             volume,
@@ -45,7 +45,7 @@ impl Cutter<'_> {
                 &tree.corners,
                 &work.leaves,
                 &work.left,
-                meshes,
+                &work.meshes,
                 &tree.built.nodes,
                 &tree.points,
                 &sums,

@@ -5,10 +5,10 @@ use super::*;
 use isopeel_kernels::{Cut as DeviceCut, RegionKey};
 use std::collections::BTreeMap;
 
-type Parts = BTreeMap<RegionKey, Region>;
+pub type Parts = BTreeMap<RegionKey, Region>;
 
 /// Puts what was made into the surface that was shown, as a client does.
-fn replace(shown: &Parts, made: &Surface) -> Parts {
+pub fn replace(shown: &Parts, made: &Surface) -> Parts {
     let mut parts = match &made.remade {
         None => Parts::new(),
         Some(remade) => shown

@@ -1,17 +1,20 @@
 //! Cuts of the vertex tree: the twin's triangles from the same tree, budgets, and that no cut changes the topology.
 
+use super::differences::{Parts, replace};
 use super::host_tree::HostTree;
 use super::interest::interests;
 use super::recipes::{Pattern, Random, recipes, surfaces};
 use super::tree::{Planted, check, plant};
 use super::*;
-use isopeel_kernels::{ControlPoint, PartFilter, RegionWeights, TransferFunction, TreeGoal, Tuning};
+use isopeel_kernels::{
+    ControlPoint, PartFilter, RegionKey, RegionWeights, TransferFunction, TreeGoal, TreeRegions, TreeSurface, Tuning,
+};
 use isopeel_reference::tree::LATTICE;
 use isopeel_reference::tree_cut::{Cutter, TreeCut, TreeLeaf, Weights};
 use isopeel_reference::tree_part::{Filter, Remaining, parts, total_area, without};
 use isopeel_reference::tree_relax::Relaxer;
 use rayon::prelude::*;
-use std::collections::{BTreeMap, HashSet};
+use std::collections::HashSet;
 use std::sync::Arc;
 
 const NO_LIMIT: u64 = u64::MAX;
@@ -97,15 +100,21 @@ fn goals(planted: &Planted, full: u64, without: &PartFilter, random: &mut Random
 }
 
 pub fn cut(engine: &Engine, planted: &Planted, params: &CutParams, goal: &TreeGoal) -> (Surface, f32) {
+    let made = cut_beside(engine, planted, params, goal, None);
+    (made.surface, made.tolerance)
+}
+
+/// Makes the regions in which a cut's surface differs from one that is shown.
+fn cut_beside(
+    engine: &Engine,
+    planted: &Planted,
+    params: &CutParams,
+    goal: &TreeGoal,
+    shown: Option<&TreeRegions>,
+) -> TreeSurface {
+    let (volume, pyramid) = (&planted.loaded.volume, &planted.pyramid);
     engine
-        .tree_surface(
-            &planted.loaded.volume,
-            &planted.pyramid,
-            &planted.tree,
-            params,
-            goal,
-            &Never,
-        )
+        .tree_surface(volume, pyramid, &planted.tree, params, goal, shown, &Never)
         .expect("cut the tree")
 }
 
@@ -120,6 +129,13 @@ fn same_triangle(got: &[[i64; 3]; 3], want: &[[i64; 3]; 3]) -> bool {
         .all(|(a, b)| (a - b).abs() <= STEPS)
 }
 
+/// The regions of 32³ cells that a region of a mesh consists of, x fastest.
+fn members(key: RegionKey) -> impl Iterator<Item = [u32; 3]> {
+    let cube = 0..1u32 << (3 * key.size);
+    let bits = move |n: u32, axis: u32| n >> (axis * u32::from(key.size)) & ((1 << key.size) - 1);
+    cube.map(move |n| std::array::from_fn(|axis| key.coords[axis] + bits(n, axis as u32)))
+}
+
 /// The device's triangles are the twin's, in order.
 fn check_surface(relaxer: &Relaxer<'_>, surface: &Surface, want: &TreeCut) -> Result<(), TestCaseError> {
     let cutter = &relaxer.cutter;
@@ -128,30 +144,61 @@ fn check_surface(relaxer: &Relaxer<'_>, surface: &Surface, want: &TreeCut) -> Re
         TreeLeaf::Node(node) => moved[&node],
         TreeLeaf::Point(_) => cutter.position(leaf),
     };
-    let mut got: BTreeMap<[u32; 3], &Region> = surface.regions.iter().map(|r| (r.coords, r)).collect();
-    for (coords, triangles) in want.triangles.iter().filter(|(_, t)| !t.is_empty()) {
-        let region = got.remove(coords);
-        let got = region.map(|r| welded(std::slice::from_ref(r))).unwrap_or_default();
-        let corner = |leaf| position(leaf).map(|x| i64::from(x) * STEPS);
+    let corner = |leaf| position(leaf).map(|x| i64::from(x) * STEPS);
+    let level_of = |t: &Triangle| t.map(|leaf| cutter.level(leaf)).into_iter().min();
+    let mut left = want.triangles.clone();
+    for region in &surface.regions {
+        let all: Vec<Triangle> = members(region.key())
+            .flat_map(|coords| left.remove(&coords).unwrap_or_default())
+            .collect();
+        let of_level = |level: u8| all.iter().filter(move |t| level_of(t) == Some(level));
+        let triangles: Vec<Triangle> = (0..6).flat_map(of_level).copied().collect();
+        let got = welded(std::slice::from_ref(region));
         let of_leaves: Vec<_> = triangles.iter().map(|t| t.map(corner)).collect();
-        prop_assert_eq!(got.len(), of_leaves.len(), "triangles in {:?}", coords);
+        prop_assert_eq!(got.len(), of_leaves.len(), "triangles in {:?}", region.key());
         let other = got.iter().zip(&of_leaves).find(|(got, want)| !same_triangle(got, want));
-        prop_assert!(other.is_none(), "in {:?}: {:?}", coords, other);
-        let Some(region) = region else { continue };
-        let of_level = |level: u8| {
-            let level_of = |t: &&Triangle| t.map(|leaf| cutter.level(leaf)).into_iter().min() == Some(level);
-            triangles.iter().filter(level_of).count() as u32
-        };
-        prop_assert_eq!(region.level_triangles, [0, 1, 2, 3, 4, 5].map(of_level));
+        prop_assert!(other.is_none(), "in {:?}: {:?}", region.key(), other);
+        let of_levels = [0, 1, 2, 3, 4, 5].map(|level| of_level(level).count() as u32);
+        prop_assert_eq!(region.level_triangles, of_levels);
         let corners: HashSet<TreeLeaf> = triangles.iter().flatten().copied().collect();
         prop_assert_eq!(
             region.vertices.len(),
             corners.len(),
             "each leaf is one vertex of {:?}",
-            coords
+            region.key()
         );
     }
-    prop_assert!(got.values().all(|region| region.indices.is_empty()));
+    prop_assert!(left.values().all(Vec::is_empty));
+    Ok(())
+}
+
+/// The regions of a surface.
+fn parts_of(surface: &Surface) -> Parts {
+    surface
+        .regions
+        .iter()
+        .map(|region| (region.key(), region.clone()))
+        .collect()
+}
+
+/// If only the regions are made in which a surface differs from one that is shown, the result is the same surface, and a surface differs
+/// nowhere from itself.
+fn check_differences(shown: &Surface, made: &Surface, whole: &Surface) -> Result<(), TestCaseError> {
+    let remade = made.remade.as_ref();
+    prop_assert!(remade.is_some());
+    let replaced = replace(&parts_of(shown), made);
+    prop_assert!(
+        replaced == parts_of(whole),
+        "{} regions were made again",
+        remade.map_or(0, Vec::len)
+    );
+    prop_assert_eq!(made.statistics.triangles, whole.statistics.triangles);
+    let is_same = parts_of(shown) == parts_of(whole);
+    prop_assert_eq!(
+        is_same,
+        remade.is_some_and(Vec::is_empty),
+        "a region was made again in vain"
+    );
     Ok(())
 }
 
@@ -278,9 +325,16 @@ pub fn check_cuts_without(
     let of_nodes = host.importances(engine, planted, &cutter, &planted.params)?;
     let floor = cutter.cut(of_nodes.as_ref(), &all);
     let floor = floor.expect("a cut").triangles.values().map(Vec::len).sum::<usize>() as u64;
+    let mut shown: Option<TreeSurface> = None;
     let on_device = |(params, goal): (CutParams, TreeGoal)| {
-        let of_device = cut(engine, planted, &params, &goal);
+        let whole = cut_beside(engine, planted, &params, &goal, None);
+        if let Some(shown) = &shown {
+            let made = cut_beside(engine, planted, &params, &goal, shown.regions.as_ref());
+            check_differences(&shown.surface, &made.surface, &whole.surface)?;
+        }
         let of_nodes = host.importances(engine, planted, &cutter, &params)?;
+        let of_device = (whole.surface.clone(), whole.tolerance);
+        shown = Some(whole);
         Ok((params, goal, of_device, of_nodes))
     };
     let goals = goals(planted, full_triangles.len() as u64, filter, &mut Random(seed));
