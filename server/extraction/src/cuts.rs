@@ -1,8 +1,9 @@
-//! Cache of cuts, by their ids.
+//! Cache of cuts, by their ids: of those of cubes the cuts themselves, of those of vertex trees what tells in which regions another cut
+//! differs.
 
 use std::sync::Arc;
 
-use isopeel_kernels::Cut;
+use isopeel_kernels::{Cut, TreeRegions};
 
 use super::CutId;
 use super::residency::Lru;
@@ -11,21 +12,27 @@ use super::residency::Lru;
 /// step. With these three, even the surface of a large volume can change region by region.
 const MIN_CUTS: usize = 3;
 
+/// Host memory for the regions of cuts of vertex trees: 24 bytes a region, so that some 70 clients can show different surfaces of 20,000
+/// regions.
+const TREE_REGION_BYTES: u64 = 32 << 20;
+
 /// Cuts that clients show, and the cuts that their surfaces are refined to.
 pub(crate) struct Cuts {
     by_id: Lru<CutId, Arc<Cut>>,
+    trees: Lru<CutId, Arc<TreeRegions>>,
 }
 
 impl Cuts {
-    /// Creates a cache of at most `budget` bytes, in which the latest [`MIN_CUTS`] always stay. If the cut of a client was evicted, the
+    /// Creates a cache of at most `budget` bytes on the device, in which the latest [`MIN_CUTS`] always stay. If the cut of a client was evicted, the
     /// client's next surface is made in full.
     pub(crate) fn new(budget: u64) -> Self {
         Self {
             by_id: Lru::new(budget).keeping(MIN_CUTS),
+            trees: Lru::new(TREE_REGION_BYTES),
         }
     }
 
-    /// Returns the device bytes of all cuts.
+    /// Returns the bytes of all cuts on the device.
     pub(crate) fn cost(&self) -> u64 {
         self.by_id.cost()
     }
@@ -42,6 +49,18 @@ impl Cuts {
     pub(crate) fn insert(&mut self, cut: Arc<Cut>) -> CutId {
         let id = CutId::next();
         self.by_id.insert(id, cut.device_bytes(), cut);
+        id
+    }
+
+    /// Returns the regions of a cut of a vertex tree.
+    pub(crate) fn get_tree(&mut self, id: CutId) -> Option<Arc<TreeRegions>> {
+        self.trees.get(&id).cloned()
+    }
+
+    /// Caches the regions of a cut of a vertex tree under a new id.
+    pub(crate) fn insert_tree(&mut self, regions: TreeRegions) -> CutId {
+        let id = CutId::next();
+        self.trees.insert(id, regions.bytes(), Arc::new(regions));
         id
     }
 }

@@ -2,13 +2,13 @@
 
 use std::sync::Arc;
 
-use isopeel_kernels::{Cut, CutParams, Surface};
+use isopeel_kernels::{Cut, CutParams, TreeSurface};
 
 use super::WorkError;
 
 /// A surface of a view that an error or a budget decides.
 pub(crate) enum Decided {
-    Tree(Surface),
+    Tree(Box<TreeSurface>),
     Cubes {
         params: CutParams,
         cut: Arc<Cut>,
@@ -43,7 +43,7 @@ pub(crate) fn milder_refusal(tree: Option<WorkError>, cubes: WorkError) -> WorkE
 
 /// Outcome of cutting the vertex tree for a view.
 pub(crate) enum TreeCut {
-    Made(Surface),
+    Made(Box<TreeSurface>),
     /// Even the smallest cut that keeps the guards exceeds the budget or the server's limit.
     Refused(WorkError),
     /// There is no space for a tree on this device.

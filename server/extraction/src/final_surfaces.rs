@@ -12,6 +12,7 @@ use super::decisions::Decided;
 use super::job_error::JobError;
 use super::on_device::{Nodes, OnDevice};
 use super::results::{Making, Refining};
+use super::tree_surfaces::TreeMaking;
 use super::workspace::Workspace;
 use super::{Extraction, MeasuredError, Measurement};
 
@@ -95,12 +96,16 @@ impl OnDevice<'_> {
         let refines = refining != Refining::Never;
         let (params, cut) = if view.is_by_error() {
             // If the surface is to be refined, its error is measured after the refinement.
-            match self.decide(view, ceiling, true, measures && !refines, cancel)? {
+            let making_tree = TreeMaking {
+                state_error: measures && !refines,
+                ..TreeMaking::whole(ceiling)
+            };
+            match self.decide(view, making_tree, true, cancel)? {
                 Decided::Tree(_) if refines => {
                     let (surface, cost) = self.refined_tree_surface(view, making, cancel)?;
                     return Ok((surface, Some(cost)));
                 }
-                Decided::Tree(surface) => return Ok((surface, None)),
+                Decided::Tree(made) => return Ok((made.surface, None)),
                 Decided::Cubes { params, cut, .. } => (params, cut),
             }
         } else {

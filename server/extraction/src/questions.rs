@@ -18,6 +18,7 @@ use super::job_error::JobError;
 use super::keys::VolumeKey;
 use super::on_device::{Nodes, OnDevice};
 use super::statistics::in_world;
+use super::tree_surfaces::TreeMaking;
 use super::workspace::Workspace;
 use super::{CutId, WorkError};
 pub use answers::{
@@ -185,11 +186,11 @@ impl Workspace {
         self.with_pyramid(volume, &mut view, Nodes::All, context, |job, view, cancel| {
             let is_tree_cut = view.is_by_error() && view.fitted.is_some_and(|fitted| fitted.is_tree_cut);
             let tree_cut = match is_tree_cut {
-                true => job.tree_surface(&mut view.clone(), u64::MAX, false, cancel)?,
+                true => job.tree_surface(&mut view.clone(), TreeMaking::whole(u64::MAX), cancel)?,
                 false => TreeCut::NoTree,
             };
             let surface = match tree_cut {
-                TreeCut::Made(surface) => surface,
+                TreeCut::Made(made) => made.surface,
                 TreeCut::Refused(_) | TreeCut::NoTree => {
                     let (params, cut) = (job.params_of(view), job.cut_of(shown.cut, view)?);
                     job.engine

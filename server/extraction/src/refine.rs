@@ -25,6 +25,7 @@ use super::decisions::Decided;
 use super::job_error::JobError;
 use super::on_device::{Nodes, OnDevice};
 use super::tree_steps;
+use super::tree_surfaces::TreeMaking;
 use super::workspace::Workspace;
 use super::{CutId, Refinement, Shown, Step, WorkError};
 
@@ -97,22 +98,28 @@ impl Workspace {
                     job.time_without_pauses(start),
                 ));
             }
+            let shown_regions = job.shown_regions(step.shown);
+            let shown_regions = shown_regions.as_deref();
             if tree_first
                 && let Some(expected) = expected
                 && let Some(coarser) = tree_steps::next_coarser_cut(step, job.regions(), expected)
-                && let Some(surface) = job.tree_prefix(view, coarser, cancel)?
+                && let Some(made) = job.tree_prefix(view, coarser, shown_regions, cancel)?
                 // A cut without additional triangles is no progress. It occurs if parts are removed: then every cut has few triangles.
-                && surface.statistics.triangles > step.made_triangles
+                && made.surface.statistics.triangles > step.made_triangles
             {
-                return Ok(job.tree_prefix_refinement(surface, view, job.time_without_pauses(start)));
+                return Ok(job.tree_prefix_refinement(made, view, job.time_without_pauses(start)));
             }
+            let making_tree = TreeMaking {
+                shown: shown_regions,
+                ..TreeMaking::whole(ceiling_triangles)
+            };
             let cached = step.target.and_then(|id| Some((id, lock(job.cuts).get(id)?)));
             let cached = cached.filter(|(_, target)| !tree_first && target.is_of(job.pyramid));
             let (params, target_id, target, can_improve) = match cached {
                 Some((id, target)) => (job.params_of(view), id, target, view.is_by_error()),
-                None if view.is_by_error() => match job.decide(view, ceiling_triangles, tree_first, false, cancel)? {
-                    Decided::Tree(surface) => {
-                        return Ok(job.tree_refinement(surface, view, job.time_without_pauses(start)));
+                None if view.is_by_error() => match job.decide(view, making_tree, tree_first, cancel)? {
+                    Decided::Tree(made) => {
+                        return Ok(job.tree_refinement(*made, view, job.time_without_pauses(start)));
                     }
                     Decided::Cubes {
                         params,

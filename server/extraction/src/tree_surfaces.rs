@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use isopeel_kernels::{
     Cancel, CutParams, DeviceKind, Error, MeasuredError, PartFilter, RefinementCost, Surface, Topology, TreeGoal,
-    VertexTree, lock,
+    TreeRegions, TreeSurface, VertexTree, lock,
 };
 use isopeel_view::View;
 use isopeel_view::quality::{ErrorLimit, Fitted, MaxError, PixelError, TopologyName};
@@ -21,7 +21,7 @@ use super::questions::index_inside;
 use super::results::{Making, Refining};
 use super::tree_steps::CoarserCut;
 use super::workspace::Workspace;
-use super::{CutId, Refinement, WorkError};
+use super::{CutId, Refinement, Shown, WorkError};
 
 /// Maximum triangles of a full surface whose tree is built before the first step. On an H200 building such a tree takes about 20 ms. A
 /// larger surface is first shown as a cut of cubes.
@@ -37,6 +37,27 @@ fn is_free(view: &View) -> bool {
 fn has_given_way(view: &View) -> bool {
     let gave_way = |fitted: Fitted| fitted.is_tree_cut && fitted.topology == Topology::Free;
     view.fitted.is_some_and(gave_way) && !view.removes_parts()
+}
+
+/// How a cut of the tree is made.
+#[derive(Clone, Copy, Default)]
+pub(crate) struct TreeMaking<'a> {
+    /// Maximum triangles.
+    pub ceiling: u64,
+    /// Whether the error is measured.
+    pub state_error: bool,
+    /// Regions of the cut that the client shows. Only regions that differ from them are made.
+    pub shown: Option<&'a TreeRegions>,
+}
+
+impl TreeMaking<'_> {
+    /// Makes the whole surface, of at most this number of triangles.
+    pub(crate) fn whole(ceiling: u64) -> Self {
+        Self {
+            ceiling,
+            ..Self::default()
+        }
+    }
 }
 
 /// The regions of a surface as a view's camera sees them, with what that means for a cut.
@@ -75,10 +96,12 @@ impl Workspace {
     ) -> Result<Option<Refinement>, JobError> {
         let start = Instant::now();
         self.with_pyramid(volume, view, Nodes::All, context, |job, view, cancel| {
-            Ok(match job.tree_surface(view, ceiling_triangles, false, cancel)? {
-                TreeCut::Made(surface) => Some(job.tree_refinement(surface, view, job.time_without_pauses(start))),
-                TreeCut::Refused(_) | TreeCut::NoTree => None,
-            })
+            Ok(
+                match job.tree_surface(view, TreeMaking::whole(ceiling_triangles), cancel)? {
+                    TreeCut::Made(made) => Some(job.tree_refinement(*made, view, job.time_without_pauses(start))),
+                    TreeCut::Refused(_) | TreeCut::NoTree => None,
+                },
+            )
         })
     }
 }
@@ -250,10 +273,12 @@ impl OnDevice<'_> {
     pub(crate) fn tree_surface(
         &self,
         view: &mut View,
-        ceiling: u64,
-        state_error: bool,
+        making: TreeMaking<'_>,
         cancel: &dyn Cancel,
     ) -> Result<TreeCut, JobError> {
+        let TreeMaking {
+            ceiling, state_error, ..
+        } = making;
         let params = CutParams {
             state_error,
             ..self.params_of(view)
@@ -266,8 +291,8 @@ impl OnDevice<'_> {
             may_vanish: is_free(view),
             ..self.tree_goal_of(view, &tree, &params, seen.as_ref(), cancel)?
         };
-        let (surface, tolerance, may_vanish) = self.cut_to_budget(view, &tree, &params, goal.clone(), cancel)?;
-        let triangles = surface.statistics.triangles;
+        let (made, may_vanish) = self.cut_to_budget(view, &tree, &params, goal.clone(), making.shown, cancel)?;
+        let triangles = made.surface.statistics.triangles;
         let refusal = if triangles > goal.max_triangles {
             Some(WorkError::OverBudget {
                 minimum: triangles,
@@ -283,40 +308,57 @@ impl OnDevice<'_> {
             };
         }
         view.fitted = Some(Fitted {
-            threshold: tolerance,
+            threshold: made.tolerance,
             topology: if may_vanish { Topology::Free } else { Topology::Preserve },
             triangles: goal.max_triangles,
             is_tree_cut: true,
-            pixels: seen.map(|seen| seen.error_of(tolerance, &surface, &tree)),
+            pixels: seen.map(|seen| seen.error_of(made.tolerance, &made.surface, &tree)),
         });
-        Ok(TreeCut::Made(self.with_all_stages(surface)))
+        Ok(TreeCut::Made(Box::new(self.with_stages_of_all(made))))
     }
 
-    /// Cuts the tree. If the topology is `auto` and no cut with all parts is within the budget, small parts vanish. Also returns the
-    /// tolerance, and whether the topology has given way.
+    /// As [`OnDevice::with_all_stages`].
+    fn with_stages_of_all(&self, made: TreeSurface) -> TreeSurface {
+        TreeSurface {
+            surface: self.with_all_stages(made.surface),
+            ..made
+        }
+    }
+
+    /// Returns the regions of the cut of the tree that a client shows, if they are cached.
+    pub(crate) fn shown_regions(&self, shown: Shown) -> Option<Arc<TreeRegions>> {
+        match shown {
+            Shown::Cut(id) => lock(self.cuts).get_tree(id),
+            Shown::Another | Shown::Alike => None,
+        }
+    }
+
+    /// Cuts the tree. If the topology is `auto` and no cut with all parts is within the budget, small parts vanish. Also returns whether
+    /// the topology has given way.
     fn cut_to_budget(
         &self,
         view: &View,
         tree: &VertexTree,
         params: &CutParams,
         goal: TreeGoal,
+        shown: Option<&TreeRegions>,
         cancel: &dyn Cancel,
-    ) -> Result<(Surface, f32, bool), JobError> {
+    ) -> Result<(TreeSurface, bool), JobError> {
         let cut = |goal: &TreeGoal| {
             self.engine
-                .tree_surface(self.volume, self.pyramid, tree, params, goal, cancel)
+                .tree_surface(self.volume, self.pyramid, tree, params, goal, shown, cancel)
         };
-        let (surface, tolerance) = cut(&goal)?;
+        let made = cut(&goal)?;
         let may_give_way = view.topology == TopologyName::Auto && !view.removes_parts();
-        if surface.statistics.triangles <= goal.max_triangles || !may_give_way {
-            return Ok((surface, tolerance, goal.may_vanish));
+        if made.surface.statistics.triangles <= goal.max_triangles || !may_give_way {
+            return Ok((made, goal.may_vanish));
         }
-        let (surface, tolerance) = cut(&TreeGoal {
+        let made = cut(&TreeGoal {
             may_vanish: true,
             ..goal
         })?;
-        let gave_way = surface.statistics.vanished_parts > 0;
-        Ok((surface, tolerance, gave_way))
+        let gave_way = made.surface.statistics.vanished_parts > 0;
+        Ok((made, gave_way))
     }
 
     /// Makes a coarser cut of the tree than the view's final one. The coarser cut has the same topology unless it is free, but no guard on
@@ -325,8 +367,9 @@ impl OnDevice<'_> {
         &self,
         view: &View,
         limits: CoarserCut,
+        shown: Option<&TreeRegions>,
         cancel: &dyn Cancel,
-    ) -> Result<Option<Surface>, JobError> {
+    ) -> Result<Option<TreeSurface>, JobError> {
         let params = self.params_of(view);
         let Some(tree) = self.tree(view, &params, cancel)? else {
             return Ok(None);
@@ -338,11 +381,11 @@ impl OnDevice<'_> {
             may_vanish: is_free(view),
             ..goal
         };
-        let surface = self
+        let made = self
             .engine
-            .tree_prefix(self.volume, self.pyramid, &tree, &params, &coarser, cancel)?;
-        let is_small = surface.statistics.triangles <= goal.max_triangles.min(limits.max_triangles);
-        Ok(is_small.then(|| self.with_all_stages(surface)))
+            .tree_prefix(self.volume, self.pyramid, &tree, &params, &coarser, shown, cancel)?;
+        let is_small = made.surface.statistics.triangles <= goal.max_triangles.min(limits.max_triangles);
+        Ok(is_small.then(|| self.with_stages_of_all(made)))
     }
 
     /// Returns the surface that [`OnDevice::tree_surface`] made of a view, refined at intersecting triangles.
@@ -398,20 +441,19 @@ impl OnDevice<'_> {
     pub(crate) fn decide(
         &self,
         view: &mut View,
-        ceiling: u64,
+        making: TreeMaking<'_>,
         tree_first: bool,
-        state_error: bool,
         cancel: &dyn Cancel,
     ) -> Result<Decided, JobError> {
         let mut tree_refusal = None;
         if tree_first {
-            match self.tree_surface(view, ceiling, state_error, cancel)? {
-                TreeCut::Made(surface) => return Ok(Decided::Tree(surface)),
+            match self.tree_surface(view, making, cancel)? {
+                TreeCut::Made(made) => return Ok(Decided::Tree(made)),
                 TreeCut::Refused(refusal) => tree_refusal = Some(refusal),
                 TreeCut::NoTree => {}
             }
         }
-        let refusal = match self.cut_within(view, ceiling, cancel) {
+        let refusal = match self.cut_within(view, making.ceiling, cancel) {
             Err(refusal @ (WorkError::OverBudget { .. } | WorkError::TooManyTriangles { .. })) => refusal,
             target => {
                 let (params, cut) = target?;
@@ -423,8 +465,8 @@ impl OnDevice<'_> {
             }
         };
         if !tree_first {
-            match self.tree_surface(view, ceiling, state_error, cancel)? {
-                TreeCut::Made(surface) => return Ok(Decided::Tree(surface)),
+            match self.tree_surface(view, making, cancel)? {
+                TreeCut::Made(made) => return Ok(Decided::Tree(made)),
                 TreeCut::Refused(refusal) => tree_refusal = Some(refusal),
                 TreeCut::NoTree => {}
             }
@@ -432,21 +474,23 @@ impl OnDevice<'_> {
         Err(milder_refusal(tree_refusal, refusal).into())
     }
 
-    /// Returns a cut of the tree as the last step towards its view. The next surface is made in full, because a cut of the tree has no
-    /// states of cubes to compare.
-    pub(crate) fn tree_refinement(&self, surface: Surface, view: &View, wall: Duration) -> Refinement {
+    /// Returns a cut of the tree as the last step towards its view.
+    pub(crate) fn tree_refinement(&self, made: TreeSurface, view: &View, wall: Duration) -> Refinement {
         Refinement {
             is_final: true,
-            ..self.tree_prefix_refinement(surface, view, wall)
+            ..self.tree_prefix_refinement(made, view, wall)
         }
     }
 
     /// Returns a coarser cut of the tree as a step towards a view.
-    pub(crate) fn tree_prefix_refinement(&self, surface: Surface, view: &View, wall: Duration) -> Refinement {
+    pub(crate) fn tree_prefix_refinement(&self, made: TreeSurface, view: &View, wall: Duration) -> Refinement {
         Refinement {
-            surface,
+            surface: made.surface,
             view: view.clone(),
-            cut: CutId::next(),
+            cut: match made.regions {
+                Some(regions) => lock(self.cuts).insert_tree(regions),
+                None => CutId::next(),
+            },
             target: None,
             is_final: false,
             can_improve: false,
