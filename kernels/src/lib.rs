@@ -65,10 +65,10 @@ pub use engine::{
     Engine,
     cut::{Differences, Kept},
     fit::BUDGET_FIT,
+    mesh_regions::TreeRegions,
     query::{CURVE_POINTS, DistributionCounts, MAX_BINS, Probed, ProbedLeaf, ProbedPart, ShownCut},
     tree_cut::TreeSurface,
     tree_refine::{RefinementCost, RegionVertex},
-    tree_regions::TreeRegions,
     upload::Upload,
     vertex_distances::DistanceOf,
 };

@@ -61,7 +61,7 @@ pub struct RegionKey {
     /// Low corner in units of 32 cells, multiples of 2ˢ.
     pub coords: [u32; 3],
     /// The exponent s: 0, except for regions of a cut of the vertex tree that has few triangles there
-    /// (`docs/algorithm.md#84-regions-that-grow`).
+    /// (`docs/algorithm.md#91-regions-that-grow`).
     pub size: u8,
 }
 

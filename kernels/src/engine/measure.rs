@@ -1,9 +1,9 @@
 //! Measures the error of a simplified surface against the full one without reading the mesh back. Viewers request it when the
 //! camera is at rest.
 
+use super::mesh_regions::MeshRegions;
 use super::peel::{Mesh, triangles};
 use super::tree_cut::TreeMesh;
-use super::tree_regions::MeshRegions;
 use crate::cancel::check_cancelled;
 use crate::{
     Cancel, CutParams, Engine, Error, Level, MeasuredError, Mesher, Pyramid, Result, TreeGoal, VertexTree, Volume,
@@ -35,7 +35,7 @@ impl Engine {
         };
         let cut = self.cut(volume, pyramid, &params, Level::FINEST)?;
         check_cancelled(cancel)?;
-        let mesh = self.mesh(volume, pyramid, &params, &cut, None, cancel)?;
+        let mesh = self.mesh(volume, pyramid, &params, &cut, cancel)?;
         self.measured(mesh)
     }
 

@@ -1,16 +1,18 @@
 //! From a cut to a surface: counts, meshes, and the mesh back on the host.
 
 use super::cut::work;
+use super::mesh_regions::{MeshRegions, join_meshes};
 use crate::buffer::Buffer;
 use crate::cancel::check_cancelled;
 use crate::layout::{self, Counters, RegionMesh};
 use crate::lock::lock;
-use crate::stages::dual::Work;
+use crate::stages::dual::{Counted, Work};
 use crate::stages::{self, dual, error, march, pack, patch};
 use crate::{
     Cancel, Count, Cut, CutParams, Engine, Error, Kept, Level, Mesher, Pyramid, Region, RegionKey, Result, Surface,
     SurfaceError, SurfaceStatistics, Volume,
 };
+use rayon::prelude::*;
 use std::ops::Range;
 use std::sync::atomic::Ordering;
 
@@ -65,20 +67,23 @@ impl Engine {
         cancel: &dyn Cancel,
     ) -> Result<Surface> {
         let before = self.cx.pool.restart();
-        let kept = kept.and_then(|kept| Some((&kept.differences.meshes, lock(&kept.shown.meshes).clone()?)));
-        let remade = kept.as_ref().map(|(remake, _)| remake.as_slice());
-        let mesh = self.mesh(volume, pyramid, params, cut, remade, cancel)?;
-        let error = mesh.errors.as_ref().map(|(_, whole)| *whole);
-        let meshes = match kept {
-            Some((remake, mut meshes)) => {
-                for (i, _) in remake.iter().enumerate().filter(|(_, remake)| **remake) {
-                    meshes[i] = mesh.regions[i];
-                }
-                meshes
+        let kept = kept.and_then(|kept| Some((&*kept.differences.meshes, lock(&kept.shown.meshes).clone()?)));
+        // The error is measured by active regions.
+        let is_joined = params.mesher == Mesher::Dual && !params.state_error;
+        let (mesh, meshes, made, remade) = match kept.filter(|_| is_joined) {
+            Some((differs, shown)) => self.mesh_again(volume, pyramid, params, cut, (differs, shown), cancel)?,
+            None => {
+                let mesh = self.mesh(volume, pyramid, params, cut, cancel)?;
+                let meshes = mesh.regions.clone();
+                let made = match is_joined {
+                    true => MeshRegions::joined(pyramid.region_coords(), &meshes),
+                    false => MeshRegions::all(pyramid),
+                };
+                (mesh, meshes, made, None)
             }
-            None => mesh.regions.clone(),
         };
-        let regions = self.read_back(mesh)?;
+        let error = mesh.errors.as_ref().map(|(_, whole)| *whole);
+        let regions = self.read_back_joined(pyramid, mesh, &made)?;
         let stages = self.cx.take_times()?;
         let sum = |of: fn(&RegionMesh) -> u64| meshes.iter().map(of).sum();
         let (leaves, made) = (cut.leaves(), sum(|mesh| triangles(mesh) as u64));
@@ -110,7 +115,7 @@ impl Engine {
         *lock(&cut.meshes) = Some(meshes);
         Ok(Surface {
             regions,
-            remade: remade.map(|remake| keys_of(pyramid, remake)),
+            remade,
             prefix: cut.prefix,
             statistics,
         })
@@ -141,20 +146,56 @@ impl Engine {
         })
     }
 
-    /// Meshes any cut, or only the regions that `remake` names: the others get no triangles.
+    /// Meshes any cut.
     pub(crate) fn mesh(
         &self,
         volume: &Volume,
         pyramid: &Pyramid,
         params: &CutParams,
         cut: &Cut,
-        remake: Option<&[bool]>,
         cancel: &dyn Cancel,
     ) -> Result<Mesh> {
         match cut.mesher {
-            Mesher::Dual => self.dual(volume, pyramid, params, cut, remake, cancel),
+            Mesher::Dual => {
+                let counted = lock(&cut.counted).take();
+                let counted = match counted {
+                    Some(counted) => counted,
+                    None => dual::count(&self.cx, volume, pyramid, &cut.state, &all(pyramid))?,
+                };
+                self.dual(volume, pyramid, params, cut, counted, cancel)
+            }
             Mesher::MarchingCubes => self.marching_cubes(volume, pyramid, cut, cancel),
         }
+    }
+
+    /// Meshes the regions of a cut in which it may differ from a shown one. `differs`: the active regions in which it may; `shown`: the
+    /// meshes of the shown one. Returns the mesh, counts of all active regions, the regions that are made, and all that may differ.
+    fn mesh_again(
+        &self,
+        volume: &Volume,
+        pyramid: &Pyramid,
+        params: &CutParams,
+        cut: &Cut,
+        (differs, shown): (&[bool], Vec<RegionMesh>),
+        cancel: &dyn Cancel,
+    ) -> Result<(Mesh, Vec<RegionMesh>, MeshRegions, Option<Vec<RegionKey>>)> {
+        let before = MeshRegions::joined(pyramid.region_coords(), &shown);
+        let mut remake = differs.to_vec();
+        before.complete(&mut remake);
+        let count = |remake: &[bool]| dual::count(&self.cx, volume, pyramid, &cut.state, &work(pyramid, remake));
+        let mut counted = count(&remake)?;
+        let mut meshes = shown;
+        for (i, _) in remake.iter().enumerate().filter(|(_, remake)| **remake) {
+            meshes[i] = counted.1[i];
+        }
+        let (made, different) = MeshRegions::joined(pyramid.region_coords(), &meshes).since(&before, differs);
+        // Regions that are joined now and were not before need all of their members.
+        if made.members().iter().any(|&member| !remake[member as usize]) {
+            made.members().iter().for_each(|&member| remake[member as usize] = true);
+            counted = count(&remake)?;
+        }
+        let mesh = self.dual(volume, pyramid, params, cut, counted, cancel)?;
+        Ok((mesh, meshes, made, Some(different)))
     }
 
     fn dual(
@@ -163,16 +204,10 @@ impl Engine {
         pyramid: &Pyramid,
         params: &CutParams,
         cut: &Cut,
-        remake: Option<&[bool]>,
+        (counted, mut regions): (Counted, Vec<RegionMesh>),
         cancel: &dyn Cancel,
     ) -> Result<Mesh> {
         let cx = &self.cx;
-        let counted = lock(&cut.counted).take();
-        let (counted, mut regions) = match (remake, counted) {
-            (None, Some(counted)) => counted,
-            (None, None) => dual::count(cx, volume, pyramid, &cut.state, &all(pyramid))?,
-            (Some(remake), _) => dual::count(cx, volume, pyramid, &cut.state, &work(pyramid, remake))?,
-        };
         check_cancelled(cancel)?;
         let (meshes, vertices, indices) = self.allocate_mesh(dual::STAGE, &mut regions)?;
         let corner_slots = params
@@ -258,20 +293,46 @@ impl Engine {
         })
     }
 
-    /// Regions that have triangles.
+    /// Returns the regions of a mesh that have triangles.
     pub(crate) fn read_back(&self, mesh: Mesh) -> Result<Vec<Region>> {
-        let filled: Vec<usize> = (0..mesh.regions.len())
-            .filter(|&i| triangles(&mesh.regions[i]) > 0)
-            .collect();
+        let filled = (0..mesh.regions.len()).filter(|&i| triangles(&mesh.regions[i]) > 0);
+        self.read_regions(&filled.collect::<Vec<_>>(), mesh)
+    }
+
+    /// Returns the regions of a mesh, joined. `mesh`: of the active regions.
+    fn read_back_joined(&self, pyramid: &Pyramid, mesh: Mesh, joined: &MeshRegions) -> Result<Vec<Region>> {
+        let mut numbers: Vec<usize> = joined.members().iter().map(|&member| member as usize).collect();
+        numbers.sort_unstable();
+        numbers.retain(|&number| triangles(&mesh.regions[number]) > 0);
+        let mut regions: Vec<Option<Region>> = vec![None; pyramid.host_regions.len()];
+        for (region, &number) in self.read_regions(&numbers, mesh)?.into_iter().zip(&numbers) {
+            regions[number] = Some(region);
+        }
+        let mut take = |members: &[u32]| -> Vec<Region> {
+            members
+                .iter()
+                .filter_map(|&member| regions[member as usize].take())
+                .collect()
+        };
+        let groups: Vec<(RegionKey, Vec<Region>)> = joined.iter().map(|(key, members)| (key, take(members))).collect();
+        let join = |(key, mut members): (RegionKey, Vec<Region>)| match members.len() {
+            0 | 1 => members.pop(),
+            _ => Some(join_meshes(key, &members)),
+        };
+        Ok(groups.into_par_iter().filter_map(join).collect())
+    }
+
+    /// Returns these regions of a mesh, by their numbers in it, in ascending order.
+    fn read_regions(&self, wanted: &[usize], mesh: Mesh) -> Result<Vec<Region>> {
         let of = |range: fn(&RegionMesh, usize) -> Range<usize>| -> Vec<Range<usize>> {
-            let parts = filled.iter().map(|&i| &mesh.regions[i]);
+            let parts = wanted.iter().map(|&i| &mesh.regions[i]);
             parts.map(|part| range(part, triangles(part))).collect()
         };
         let vertices = of(|part, _| part.vertex_base as usize..(part.vertex_base + part.vertices) as usize);
         let indices = of(|part, n| part.triangle_base as usize * 3..(part.triangle_base as usize + n) * 3);
         let vertices = self.cx.read_parts(READ_BACK, mesh.vertices, &vertices)?;
         let indices = self.cx.read_parts(READ_BACK, mesh.indices, &indices)?;
-        let parts = filled.iter().zip(vertices).zip(indices);
+        let parts = wanted.iter().zip(vertices).zip(indices);
         Ok(parts
             .map(|((&i, vertices), indices)| Region {
                 coords: mesh.keys[i].coords,
@@ -337,10 +398,4 @@ pub(super) fn all(pyramid: &Pyramid) -> Vec<Work> {
 /// Keys of the active regions.
 pub(super) fn keys(pyramid: &Pyramid) -> Vec<RegionKey> {
     pyramid.region_coords().map(RegionKey::smallest).collect()
-}
-
-/// Keys of the active regions that a set holds.
-fn keys_of(pyramid: &Pyramid, set: &[bool]) -> Vec<RegionKey> {
-    let held = keys(pyramid).into_iter().zip(set);
-    held.filter_map(|(key, is_held)| is_held.then_some(key)).collect()
 }

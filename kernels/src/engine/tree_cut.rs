@@ -1,9 +1,9 @@
 //! Cuts of the vertex tree, fitted to a budget and meshed.
 
 use super::fit::ERROR_KEYS;
+use super::mesh_regions::{MeshRegions, TreeRegions};
 use super::peel::{Mesh, triangles};
 use super::tree_part::left_out;
-use super::tree_regions::{MeshRegions, TreeRegions};
 use crate::buffer::Buffer;
 use crate::cancel::check_cancelled;
 use crate::cut::sum_levels;

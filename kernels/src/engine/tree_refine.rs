@@ -1,8 +1,8 @@
 //! Cuts of the vertex tree, refined at the places where their triangles intersect.
 
+use super::mesh_regions::MeshRegions;
 use super::peel::triangles;
 use super::tree_cut::TreeMesh;
-use super::tree_regions::MeshRegions;
 use crate::cancel::check_cancelled;
 use crate::stages::tree_cut::{CutWork, Cutter, LEAF_NUMBER, STAGE};
 use crate::tree::TreeGoal;

@@ -1,9 +1,10 @@
-//! The regions in which a cut of the vertex tree is meshed: larger ones where it has few triangles (`docs/algorithm.md#84-regions-that-grow`).
+//! The regions in which a cut is meshed: larger ones where it has few triangles (`docs/algorithm.md#91-regions-that-grow`).
 
 use super::peel::triangles;
 use crate::layout::{NONE, RegionMesh};
 use crate::pyramid::morton;
-use crate::{Pyramid, RegionKey};
+use crate::{Pyramid, Region, RegionKey, Vertex};
+use rustc_hash::{FxHashMap, FxHashSet};
 
 /// Exponent of the size of the largest regions. The stream has 16 bits for a coordinate, and a vertex may lie far outside of its region.
 const MAX_SIZE: u8 = 2;
@@ -15,6 +16,7 @@ const MAX_JOINED_TRIANGLES: u32 = 1000;
 const SPARSE_TRIANGLES: u32 = 100;
 
 /// Regions of a mesh, each with the active regions that it consists of.
+#[derive(Default)]
 pub(super) struct MeshRegions {
     pub keys: Vec<RegionKey>,
     /// Numbers of active regions, in ascending order within a region.
@@ -57,11 +59,7 @@ impl MeshRegions {
         let mut groups = Vec::new();
         join(&order, MAX_SIZE, &counts, &mut groups);
         groups.sort_unstable_by_key(|(_, members)| members.first().copied());
-        let mut joined = Self {
-            keys: Vec::with_capacity(groups.len()),
-            members: Vec::with_capacity(order.len()),
-            ends: Vec::with_capacity(groups.len()),
-        };
+        let mut joined = Self::default();
         for (key, members) in groups {
             joined.push(key, &members);
         }
@@ -79,6 +77,42 @@ impl MeshRegions {
         let begins = std::iter::once(0).chain(self.ends.iter().copied());
         let ranges = begins.zip(&self.ends).map(|(begin, &end)| begin as usize..end as usize);
         self.keys.iter().copied().zip(ranges.map(|range| &self.members[range]))
+    }
+
+    /// Marks all members of regions of which one member is marked.
+    pub fn complete(&self, marks: &mut [bool]) {
+        for (_, members) in self.iter() {
+            if members.iter().any(|&member| marks[member as usize]) {
+                members.iter().for_each(|&member| marks[member as usize] = true);
+            }
+        }
+    }
+
+    /// Returns the regions that are made again after `before`, and the keys of all regions in which the surface may differ, of both.
+    /// `remade`: active regions whose mesh may differ.
+    pub fn since(&self, before: &Self, remade: &[bool]) -> (Self, Vec<RegionKey>) {
+        let shown: FxHashMap<RegionKey, &[u32]> = before.iter().collect();
+        let is_kept = |key: RegionKey, members: &[u32]| {
+            shown.get(&key) == Some(&members) && !members.iter().any(|&member| remade[member as usize])
+        };
+        let (mut made, mut kept) = (Self::default(), FxHashSet::default());
+        for (key, members) in self.iter() {
+            if is_kept(key, members) {
+                kept.insert(key);
+            } else {
+                made.push(key, members);
+            }
+        }
+        let gone = before.keys.iter().filter(|key| !kept.contains(key));
+        let mut different: Vec<RegionKey> = gone.chain(&made.keys).copied().collect();
+        different.sort_unstable();
+        different.dedup();
+        (made, different)
+    }
+
+    /// All members, region by region.
+    pub fn members(&self) -> &[u32] {
+        &self.members
     }
 
     /// Returns the signatures of a surface. `of_members`: two words for each active region.
@@ -103,11 +137,7 @@ impl MeshRegions {
 
     /// Returns the regions that are not the same in `shown`. `now`: signatures of these regions.
     pub fn without_those_of(&self, shown: &TreeRegions, now: &TreeRegions) -> Self {
-        let mut changed = Self {
-            keys: Vec::new(),
-            members: Vec::new(),
-            ends: Vec::new(),
-        };
+        let mut changed = Self::default();
         for (key, members) in self.iter() {
             let signature = now
                 .signatures
@@ -190,6 +220,45 @@ impl TreeRegions {
     }
 }
 
+/// Joins the meshes of the members of a region. Vertices of several members that are equal become one. Equal vertices of one member stay
+/// apart, because they are of different sheets.
+pub(super) fn join_meshes(key: RegionKey, members: &[Region]) -> Region {
+    let vertex_count = members.iter().map(|member| member.vertices.len()).sum();
+    let (mut vertices, mut level_indices) = (Vec::with_capacity(vertex_count), [const { Vec::new() }; 6]);
+    let mut known: FxHashMap<Vertex, (u32, usize)> = FxHashMap::default();
+    let mut numbers = Vec::new();
+    for (number, member) in members.iter().enumerate() {
+        let shift = [0, 1, 2].map(|axis| (member.key().origin()[axis] - key.origin()[axis]) as i32);
+        numbers.clear();
+        for vertex in member.vertices.iter() {
+            let position = [0, 1, 2].map(|axis| vertex.position[axis] + shift[axis]);
+            let moved = Vertex { position, ..*vertex };
+            let new = vertices.len() as u32;
+            let (index, last_member) = known.entry(moved).or_insert((new, usize::MAX));
+            let is_joined = *index != new && *last_member != number;
+            *last_member = number;
+            if !is_joined {
+                vertices.push(moved);
+            }
+            numbers.push(if is_joined { *index } else { new });
+        }
+        let mut indices = &member.indices[..];
+        for (of_level, count) in level_indices.iter_mut().zip(member.level_triangles) {
+            let (level, coarser) = indices.split_at(3 * count as usize);
+            of_level.extend(level.iter().map(|&index| numbers[index as usize]));
+            indices = coarser;
+        }
+    }
+    Region {
+        coords: key.coords,
+        size: key.size,
+        level_triangles: [0, 1, 2, 3, 4, 5].map(|level: usize| level_indices[level].len() as u32 / 3),
+        vertices: vertices.into(),
+        indices: level_indices.concat().into(),
+        error: None,
+    }
+}
+
 /// Joins sparse regions within each cube of this size, and otherwise within smaller ones. `order`: regions with triangles, in Morton order.
 fn join(order: &[(u64, u32, [u32; 3])], size: u8, counts: &[u32], groups: &mut Vec<(RegionKey, Vec<u32>)>) {
     for cube in order.chunk_by(|a, b| a.0 >> (3 * size) == b.0 >> (3 * size)) {
@@ -211,9 +280,9 @@ fn join(order: &[(u64, u32, [u32; 3])], size: u8, counts: &[u32], groups: &mut V
 
 #[cfg(test)]
 mod tests {
-    use super::{MAX_JOINED_TRIANGLES, MeshRegions, TreeRegions};
-    use crate::RegionKey;
+    use super::{MAX_JOINED_TRIANGLES, MeshRegions, TreeRegions, join_meshes};
     use crate::layout::RegionMesh;
+    use crate::{Region, RegionKey, Vertex};
     use std::collections::BTreeMap;
 
     fn key(coords: [u32; 3], size: u8) -> RegionKey {
@@ -324,6 +393,80 @@ mod tests {
         let keys = [key([0, 0, 0], 0), key([0, 0, 0], 2), key([1, 0, 0], 0)];
         assert_eq!(before.differences(&after), keys);
         assert_eq!(after.differences(&before), keys);
+    }
+
+    #[test]
+    fn regions_are_made_again_as_a_whole() {
+        let coords = [[0, 0, 0], [1, 0, 0], [4, 0, 0], [5, 0, 0]];
+        let of = |counts: [u32; 4]| MeshRegions::joined(coords.into_iter(), &counts.map(mesh));
+        let (left, right) = (key([0, 0, 0], 2), key([4, 0, 0], 2));
+        let before = of([10, 20, 30, 40]);
+        let mut marks = [false, true, false, false];
+        before.complete(&mut marks);
+        assert_eq!(marks, [true, true, false, false]);
+        let (made, different) = of([10, 21, 30, 40]).since(&before, &[false, true, false, false]);
+        assert_eq!((made.keys, different), (vec![left], vec![left]));
+        // One member has become empty, the others stay as they are.
+        let (made, different) = of([10, 0, 30, 40]).since(&before, &[false, true, false, false]);
+        assert_eq!(
+            (made.keys, different),
+            (vec![key([0, 0, 0], 0)], vec![key([0, 0, 0], 0), left])
+        );
+        let (made, different) = of([10, 20, 900, 40]).since(&before, &[false, false, true, false]);
+        let apart = [key([4, 0, 0], 0), key([5, 0, 0], 0)];
+        assert_eq!(
+            (made.keys, different),
+            (apart.to_vec(), vec![apart[0], right, apart[1]])
+        );
+        let (made, different) = of([10, 20, 30, 40]).since(&before, &[false; 4]);
+        assert!(made.keys.is_empty() && different.is_empty());
+    }
+
+    #[test]
+    fn vertices_of_several_members_become_one() {
+        let vertex = |x: i32, feature: u16| Vertex {
+            position: [x, 7, 9],
+            normal: [1, 2],
+            smoothness: 3,
+            feature,
+        };
+        let member = |coords, vertices: Vec<Vertex>, indices: Vec<u32>, levels: [u32; 6]| Region {
+            coords,
+            vertices: vertices.into(),
+            indices: indices.into(),
+            level_triangles: levels,
+            ..Default::default()
+        };
+        let cells = 32 * Vertex::LATTICE;
+        // The second one has two equal vertices, one of which is the first one's.
+        let members = [
+            member(
+                [2, 0, 0],
+                vec![vertex(5, 0), vertex(cells, 1), vertex(8, 2)],
+                vec![0, 1, 2, 2, 1, 0],
+                [1, 0, 1, 0, 0, 0],
+            ),
+            member(
+                [3, 0, 0],
+                vec![vertex(0, 1), vertex(0, 1), vertex(3, 1)],
+                vec![0, 2, 1, 1, 2, 0],
+                [0, 1, 1, 0, 0, 0],
+            ),
+        ];
+        let joined = join_meshes(key([2, 0, 0], 1), &members);
+        let expected = [
+            vertex(5, 0),
+            vertex(cells, 1),
+            vertex(8, 2),
+            vertex(cells, 1),
+            vertex(cells + 3, 1),
+        ];
+        assert_eq!(*joined.vertices, expected);
+        assert_eq!(*joined.indices, [0, 1, 2, 1, 4, 3, 2, 1, 0, 3, 4, 1]);
+        assert_eq!(
+            (joined.level_triangles, joined.key()),
+            ([1, 1, 2, 0, 0, 0], key([2, 0, 0], 1))
+        );
     }
 
     #[test]
