@@ -10,14 +10,14 @@ measure or of a peer's version. Cuts of the octree are those of a server on a CP
 """
 import argparse
 import os
-import subprocess
 import sys
 import tempfile
 from pathlib import Path
 
+from fidelity.environment import enter_environment
+
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent.parent
-VENV = ROOT / "target" / "fidelity-venv"
 VOLUMES = ["sin", "ml", "ct-head 517", "ct-head -300"]
 # Isovalues of the demo volume: two at the outside of grey matter, and the one that it opens with, at its inside.
 BRAINS = [110, 120, 140]
@@ -39,23 +39,7 @@ if missing:
     parser.error(f"{', '.join(missing)}: not in --data ({args.data}), expected a folder that has them, or --volumes sin ml")
 
 
-def enter_environment():
-    """Goes on in an interpreter that has the requirements."""
-    if os.environ.get("ISOPEEL_FIDELITY"):
-        return
-    python = args.python
-    if python is None:
-        python = VENV / "bin/python"
-        stamp = VENV / "requirements.txt"
-        wanted = (HERE / "fidelity-requirements.txt").read_text()
-        if not stamp.exists() or stamp.read_text() != wanted:
-            subprocess.run([sys.executable, "-m", "venv", VENV], check=True)
-            subprocess.run([python, "-m", "pip", "install", "-q", "-r", HERE / "fidelity-requirements.txt"], check=True)
-            stamp.write_text(wanted)
-    os.execve(python, [str(python), *sys.argv], {**os.environ, "ISOPEEL_FIDELITY": "1"})
-
-
-enter_environment()
+enter_environment(args.python)
 sys.path.insert(0, str(HERE / "measure"))
 
 from fidelity import figures

@@ -123,18 +123,18 @@ def panels(mesh, truth):
     return plain, render(actor(fine, parts, colour_of(distance / WORST)))
 
 
-def bar(pen, right, top, font):
+def bar(pen, right, top, font, worst, text):
     """The shared colour bar, with its ends to the right."""
     width, height = 520, 16
     left = right - width
     for x in range(width):
         pen.line([(left + x, top), (left + x, top + height)], fill=tuple(int(v) for v in colour_of(np.array(x / width))))
-    for value in (0, 0.25, 0.5, 0.75, 1):
-        x = left + width * value / WORST
-        label = f"{value:g}" if value < WORST else f"{value:g} and more"
+    for share in (0, 0.25, 0.5, 0.75, 1):
+        x = left + width * share
+        label = f"{share * worst:g}" if share < 1 else f"{worst:g} and more"
         pen.line([(x, top + height), (x, top + height + 5)], fill=FAINT)
         pen.text((x, top + height + 8), label, font=font, fill=INK, anchor="ma")
-    pen.text((left - 16, top + height / 2), "distance to the trilinear isosurface, in voxels", font=font, fill=INK, anchor="rm")
+    pen.text((left - 16, top + height / 2), text, font=font, fill=INK, anchor="rm")
 
 
 def draw(one, folder):
@@ -161,5 +161,5 @@ def draw(one, folder):
             sheet.paste(panel, (left, CAPTION + row * (PANEL[1] + GAP)))
     base = f"{one.source.title.replace('`', '')} HU, {SHARE:.0%} of {one.maker.full_triangles():,} triangles"
     pen.text((MARGIN, sheet.height - 54), base, font=small, fill=INK, anchor="lm")
-    bar(pen, width - MARGIN - 40, sheet.height - 62, small)
+    bar(pen, width - MARGIN - 40, sheet.height - 62, small, WORST, "distance to the trilinear isosurface, in voxels")
     sheet.save(folder / "fidelity-methods.webp", quality=84, method=6)

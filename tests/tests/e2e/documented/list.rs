@@ -57,6 +57,7 @@ pub const COMMANDS: &[(&str, &[(&str, How)])] = &[
           -d '{\"roles\": [\"view\"], \"seconds\": 600}'", Run),
     ]),
     ("docs/fidelity.md", &[
+        ("tests/scripts/pixels.py picture", Not("measures, with packages from PyPI")),
         ("tests/scripts/fidelity.py --work FOLDER", Not("takes hours, and volumes that are not in the repository")),
         ("tests/scripts/fidelity.py --work FOLDER --parts shading", Not("takes volumes that are not in the repository")),
     ]),
