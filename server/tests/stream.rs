@@ -62,6 +62,7 @@ impl NoiseDevice {
         };
         Region {
             coords: [x, 0, 0],
+            size: 0,
             vertices: (0..3 * TRIANGLES).map(&mut vertex).collect::<Vec<_>>().into(),
             indices: (0..3 * TRIANGLES).collect::<Vec<_>>().into(),
             level_triangles: [TRIANGLES, 0, 0, 0, 0, 0],

@@ -33,6 +33,7 @@ describe("header", () => {
       surface: 0,
       lattice: 256,
       region: mesh.region,
+      size: 0,
       vertexCount: mesh.positions.length / 3,
       indexCount: mesh.indices.length,
       levelTriangles: mesh.levelTriangles,
@@ -44,6 +45,18 @@ describe("header", () => {
     const empty = { ...mesh, positions: [], normals: [], s: [], f: [], indices: [], levelTriangles: [0, 0, 0, 0, 0, 0] };
     const header = readChunkHeader(encodeChunk(empty, 1, 0).buffer);
     expect(header).toMatchObject({ vertexCount: 0, indexCount: 0, vertexBytes: 0, indexBytes: 0 });
+  });
+
+  test.each([
+    [1, [2, 0, 4]],
+    [2, [4, 0, 8]],
+  ] as const)("of a region of size %d is read", (size, region) => {
+    const positions = mesh.positions.map((p, i) => p + 32 * (region[(i % 3) as 0 | 1 | 2] - mesh.region[(i % 3) as 0 | 1 | 2]));
+    const large = encodeChunk({ ...mesh, positions, region, size }, 3, 0);
+    new DataView(large.buffer).setUint16(16, 64, true);
+    expect(readChunkHeader(large.buffer)).toMatchObject({ region, size });
+    const { vertices } = decodeChunk(MeshoptDecoder, readChunkHeader(large.buffer), large.buffer);
+    expect(vertices).toEqual(decodeChunk(MeshoptDecoder, readChunkHeader(frame.buffer), frame.buffer).vertices);
   });
 
   test("every cut-off frame is refused", () => {
@@ -60,7 +73,7 @@ describe("header", () => {
 
   test.each([
     ["magic", (v: DataView) => v.setUint8(0, 0x49 ^ 1), /magic/],
-    ["version", (v: DataView) => v.setUint16(4, 1, true), /version 1, .*reload/],
+    ["version", (v: DataView) => v.setUint16(4, 2, true), /version 2, .*reload/],
     ["header length", (v: DataView) => v.setUint16(6, 104, true), /header length 104/],
     ["level", (v: DataView) => v.setUint8(12, 6), /level 6, expected 0 to 5/],
     ["kind", (v: DataView) => v.setUint8(13, 2), /kind 2, expected 0 .cut. or 1 .error./],
@@ -70,7 +83,10 @@ describe("header", () => {
     ["flags", (v: DataView) => v.setUint8(15, 2), /flags 2/],
     ["coding", (v: DataView) => v.setUint8(15, 1), /vertices in payloads of/],
     ["coding of an annotation", (v: DataView) => (v.setUint8(12, 0), v.setUint8(13, 1), v.setUint8(15, 1)), /flags 1 of kind error/],
-    ["reserved field", (v: DataView) => v.setUint16(18, 1, true), /reserved field 1/],
+    ["size", (v: DataView) => v.setUint16(18, 3, true), /region size 3, expected 0 to 2/],
+    ["size of two bytes", (v: DataView) => v.setUint16(18, 256, true), /region size 256, expected 0 to 2/],
+    ["place", (v: DataView) => (v.setUint16(18, 1, true), v.setUint32(24, 3, true)), /of size 1, expected multiples of 2/],
+    ["lattice of a large region", (v: DataView) => (v.setUint16(18, 2, true), [20, 24, 28].forEach((at) => v.setUint32(at, 4, true))), /256 lattice units per cell, expected 1 to 255/],
     ["lattice 0", (v: DataView) => v.setUint16(16, 0, true), /lattice/],
     ["lattice past 16 bits", (v: DataView) => v.setUint16(16, 1024, true), /lattice/],
     ["bounds", (v: DataView) => v.setFloat32(32, NaN, true), /bounds/],

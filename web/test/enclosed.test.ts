@@ -62,8 +62,11 @@ describe("area and volume of a surface", () => {
     const all = box([30, 30, 30], [34, 35, 36]);
     const [some, others] = [all.filter((_, i) => i % 3 === 0), all.filter((_, i) => i % 3 !== 0)];
     for (const shares of [true, false]) {
-      const sums = sumsOf([meshOf(some, [0, 0, 0], shares), meshOf(others, [1, 1, 0], shares)]);
-      expect(sums).toEqual({ area: 2 * (20 + 30 + 24), volume: 120, borderEdges: 0 });
+      // The last one has the low corner of a region of size 2.
+      for (const region of [[1, 1, 0], [4, 0, 4]] as const) {
+        const sums = sumsOf([meshOf(some, [0, 0, 0], shares), meshOf(others, region, shares)]);
+        expect(sums).toEqual({ area: 2 * (20 + 30 + 24), volume: 120, borderEdges: 0 });
+      }
     }
   });
 

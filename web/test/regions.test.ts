@@ -24,7 +24,7 @@ class Script {
       this.level = Number(prefix[1]);
       return { type: "prefix", generation, level: this.level, regions: Number(prefix[2]), final: this.level === 0 };
     }
-    const chunk = /^(\w)=(\d+|-)$/.exec(step);
+    const chunk = /^([\w,]+)=(\d+|-)$/.exec(step);
     if (chunk !== null) {
       const id = chunk[2] === "-" ? null : Number(chunk[2]);
       return { type: "chunk", generation, level: this.level, region: chunk[1]!, id };
@@ -71,6 +71,20 @@ describe("a prefix", () => {
     const { swaps } = s.run("r1");
     expect(swaps.map((w) => w.level)).toEqual([5, 4]);
     expect(s.shown).toEqual({ a: 2 });
+  });
+});
+
+describe("regions of several sizes", () => {
+  test("give way to each other in one change", () => {
+    const s = new Script();
+    s.run("p0:3", "0,0,0,0=1", "1,0,0,0=2", "2,0,0,0=3", "c", "r1", "r2", "r3");
+    // The low corner of the first one is that of the larger one.
+    expect(s.run("p0:3", "0,0,0,1=4", "0,0,0,0=-", "1,0,0,0=-", "c").swaps).toEqual([]);
+    expect(s.shown).toEqual({ "0,0,0,0": 1, "1,0,0,0": 2, "2,0,0,0": 3 });
+    expect(s.run("r4").swaps).toEqual([{ generation: 1, level: 0, final: true, show: [4], remove: [1, 2] }]);
+    expect(s.shown).toEqual({ "0,0,0,1": 4, "2,0,0,0": 3 });
+    expect(s.run("p0:2", "0,0,0,0=5", "0,0,0,1=-", "r5", "c").swaps[0]).toMatchObject({ show: [5], remove: [4] });
+    expect(s.shown).toEqual({ "0,0,0,0": 5, "2,0,0,0": 3 });
   });
 });
 

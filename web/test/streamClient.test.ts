@@ -14,7 +14,7 @@ import type { Annotation } from "../src/regions/annotations";
 import { RegionPipeline, type RegionScene } from "../src/regions/pipeline";
 import { ActingPage } from "./acting";
 import { FixtureServer, OPENING } from "./fixture";
-import { CELLS, encodeChunk, encodeDistances, surfaceNets, wobblyBall } from "./synthetic";
+import { CELLS, encodeChunk, encodeDistances, surfaceNets, wobblyBall, type SyntheticMesh } from "./synthetic";
 
 /** Does what the worker does, in this thread. */
 class LocalWorker implements DecodeWorker {
@@ -379,6 +379,31 @@ test.each(["before", "after"])("values that are not as many as a mesh has vertic
   await vi.waitFor(() => expect(scene.shown.size).toBe(1));
   if (when === "after") annotate();
   expect(broken).toEqual([`${few.s.length} values, expected ${mesh!.s.length}`]);
+});
+
+test("a larger region takes the place of smaller ones, and gets the values of its vertices", async () => {
+  await Promise.all([MeshoptEncoder.ready, MeshoptDecoder.ready]);
+  const [scene, broken] = [new PlainScene(), [] as string[]];
+  const pipeline = new RegionPipeline(new LocalWorker(), scene, { onSwap: () => undefined, onAnnotated: () => undefined, onBroken: (reason) => broken.push(reason) });
+  scene.onResident = (id) => pipeline.resident(id);
+  const small = surfaceNets(wobblyBall(0), 0, 2);
+  const gone = small.map((mesh) => ({ ...mesh, positions: [], normals: [], s: [], f: [], indices: [], levelTriangles: [0, 0, 0, 0, 0, 0] }));
+  const large = { ...small[0]!, region: [0, 0, 0] as const, size: 1 };
+  expect(small[0]!.region).toEqual([0, 0, 0]);
+  const send = (meshes: readonly SyntheticMesh[], generation: number) => {
+    const of = { surface: 0, generation, level: 0, final: true } as const;
+    pipeline.event({ type: "prefix", ...of, mesher: "dual", regions: meshes.length });
+    for (const mesh of meshes) pipeline.chunk(encodeChunk(mesh, generation, 0).buffer);
+    pipeline.event({ type: "committed", ...of });
+  };
+  send(small, 1);
+  send([large, ...gone], 2);
+  await vi.waitFor(() => expect([...scene.shown.keys()]).toEqual([small.length + 1]));
+  expect([...scene.meshes.values()].at(-1)).toMatchObject({ corner: [0, 0, 0] });
+  pipeline.annotated({ type: "annotated", surface: 0, generation: 2, annotation: "error", regions: 1 });
+  pipeline.chunk(encodeDistances(large, large.s, 2).buffer);
+  expect([...scene.values.keys()]).toEqual([small.length + 1]);
+  expect(broken).toEqual([]);
 });
 
 test("meshes are of the mesher that their own prefix names", async () => {

@@ -25,6 +25,8 @@ export const feature: Field = (_x, _y, z) => Math.min(1, Math.max(0, (z - 12) / 
 
 export interface SyntheticMesh {
   readonly region: readonly [number, number, number];
+  /** Of the region; 0 if left out. */
+  readonly size?: number;
   /** Index space, three a vertex. */
   readonly positions: number[];
   /** Unit normals towards lower values. */
@@ -242,12 +244,13 @@ export function encodeChunk(mesh: SyntheticMesh, generation: number, level: numb
   const frame = new Uint8Array(HEADER_BYTES + vertexBytes.length + indexBytes.length);
   const header = new DataView(frame.buffer);
   frame.set(new TextEncoder().encode("ISOP"), 0);
-  header.setUint16(4, 2, true);
+  header.setUint16(4, 3, true);
   header.setUint16(6, HEADER_BYTES, true);
   header.setUint32(8, generation, true);
   header.setUint8(12, level);
   header.setUint8(14, surface);
   header.setUint16(16, LATTICE, true);
+  header.setUint16(18, mesh.size ?? 0, true);
   mesh.region.forEach((r, axis) => header.setUint32(20 + 4 * axis, r, true));
   if (count > 0) {
     low.forEach((p, axis) => header.setFloat32(32 + 4 * axis, p, true));

@@ -12,6 +12,8 @@ pub const LATTICE: i32 = 64;
 const REGION: i32 = 32;
 /// Bytes of a vertex before encoding.
 const VERTEX: usize = 12;
+/// Maximum size of a region.
+const MAX_SIZE: u8 = 2;
 /// Maximum number of vertices and of indices.
 const MAX_COUNT: usize = 627_264;
 /// Limit of a region's coordinates, so that lattice positions fit in 32 bits. The protocol has no such limit.
@@ -38,6 +40,30 @@ pub enum ChunkError {
     Payload(String),
 }
 
+/// Names a region: an aligned cube of 32·2^`size` cells.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct RegionKey {
+    /// Low corner in units of 32 cells, multiples of 2^`size`.
+    pub coords: [u32; 3],
+    /// 0 to 2.
+    pub size: u8,
+}
+
+impl RegionKey {
+    /// Returns the regions that contain a region of 32³ cells, the smallest first.
+    pub(crate) fn around(coords: [u32; 3]) -> impl Iterator<Item = Self> {
+        (0..=MAX_SIZE).map(move |size| Self {
+            coords: coords.map(|c| c >> size << size),
+            size,
+        })
+    }
+
+    /// Returns the larger regions that contain this one.
+    pub(crate) fn larger(self) -> impl Iterator<Item = Self> {
+        Self::around(self.coords).filter(move |region| region.size > self.size)
+    }
+}
+
 /// A decoded chunk of kind `cut`: the mesh of one region.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Chunk {
@@ -47,8 +73,8 @@ pub struct Chunk {
     pub generation: u32,
     /// Level of the prefix.
     pub prefix_level: u8,
-    /// Coordinates of the region.
-    pub region: [u32; 3],
+    /// The region.
+    pub region: RegionKey,
     /// Index space: min x, y, z, max x, y, z.
     pub bounds: [f32; 6],
     /// Vertices; empty if the region has no surface.
@@ -179,7 +205,7 @@ impl Chunk {
     /// beyond the last vertex.
     pub fn lattice(&self, vertex: u32) -> [i32; 3] {
         let position = self.vertices[vertex as usize].position;
-        std::array::from_fn(|axis| self.region[axis] as i32 * REGION * LATTICE + i32::from(position[axis]))
+        std::array::from_fn(|axis| self.region.coords[axis] as i32 * REGION * LATTICE + i32::from(position[axis]))
     }
 
     /// Returns the position of a vertex in index space. Panics beyond the last vertex.
@@ -271,20 +297,29 @@ fn expect<T: PartialEq + std::fmt::Debug>(field: &'static str, found: T, expecte
 pub(crate) struct Header<'a>(&'a [u8]);
 
 impl<'a> Header<'a> {
-    /// Checks length, magic, version, surface, region and the constant fields.
+    /// Checks length, magic, version, surface, region with its size, and the constant fields.
     pub fn new(frame: &'a [u8]) -> Result<Self, ChunkError> {
         if frame.len() < HEADER {
             return Err(ChunkError::Short(frame.len()));
         }
         let header = Self(frame);
         expect("magic", &frame[0..4], b"ISOP".as_slice())?;
-        expect("version", header.u16(4), 2)?;
+        expect("version", header.u16(4), 3)?;
         expect("header length", usize::from(header.u16(6)), HEADER)?;
         expect("lattice units per cell", i32::from(header.u16(16)), LATTICE)?;
-        expect("bytes 18 and 19", header.u16(18), 0)?;
+        let size = header.u16(18);
+        check(size <= u16::from(MAX_SIZE), "size of the region", size, "0 to 2")?;
         check(header.surface() <= 3, "surface", header.surface(), "0 to 3")?;
-        let is_near = header.region().iter().all(|&c| c < MAX_REGION);
-        check(is_near, "region", format!("{:?}", header.region()), "below 524,288")?;
+        let coords = header.region().coords;
+        let is_near = coords.iter().all(|&c| c < MAX_REGION);
+        check(is_near, "region", format!("{coords:?}"), "below 524,288")?;
+        let is_aligned = coords.iter().all(|&c| c % (1 << size) == 0);
+        check(
+            is_aligned,
+            "region",
+            format!("{coords:?}"),
+            format!("multiples of {}", 1 << size),
+        )?;
         Ok(header)
     }
 
@@ -305,8 +340,11 @@ impl<'a> Header<'a> {
         self.0[14]
     }
 
-    pub fn region(self) -> [u32; 3] {
-        [20, 24, 28].map(|at| self.u32(at))
+    pub fn region(self) -> RegionKey {
+        RegionKey {
+            coords: [20, 24, 28].map(|at| self.u32(at)),
+            size: self.0[18],
+        }
     }
 
     pub fn vertex_count(self) -> usize {
@@ -333,7 +371,7 @@ mod tests {
     /// A frame of `vertices` vertices and 12 triangles of level 0, with an arbitrary payload.
     fn frame(coding: u8, vertices: u32, payload: &[u8]) -> Vec<u8> {
         let mut frame = vec![0; HEADER];
-        frame[..8].copy_from_slice(b"ISOP\x02\0\x60\0");
+        frame[..8].copy_from_slice(b"ISOP\x03\0\x60\0");
         frame[15] = coding;
         frame[16] = 64;
         let index_bytes = if coding == 1 { 0 } else { payload.len() / 2 };
@@ -343,6 +381,38 @@ mod tests {
             frame[at..at + 4].copy_from_slice(&value.to_le_bytes());
         }
         [&frame, payload].concat()
+    }
+
+    #[test]
+    fn a_region_has_a_size_and_is_aligned() {
+        let mut gone = vec![0; HEADER];
+        gone[..8].copy_from_slice(b"ISOP\x03\0\x60\0");
+        gone[16] = 64;
+        let mut decode = |bytes: [(usize, u8); 4]| {
+            bytes.into_iter().for_each(|(at, value)| gone[at] = value);
+            Chunk::decode(&gone)
+        };
+        let chunk = decode([(18, 2), (20, 4), (24, 0), (28, 8)]).expect("a chunk");
+        let region = RegionKey {
+            coords: [4, 0, 8],
+            size: 2,
+        };
+        assert_eq!(chunk.region, region);
+        let around: Vec<_> = RegionKey::around([5, 3, 8]).collect();
+        assert_eq!(around[2], region);
+        assert_eq!(around[1].larger().collect::<Vec<_>>(), [region]);
+        let size = decode([(18, 3), (20, 4), (24, 0), (28, 8)])
+            .expect_err("too large")
+            .to_string();
+        assert_eq!(size, "size of the region: 3, expected 0 to 2");
+        let size = decode([(18, 0), (19, 1), (24, 0), (28, 8)])
+            .expect_err("too large")
+            .to_string();
+        assert_eq!(size, "size of the region: 256, expected 0 to 2");
+        let place = decode([(18, 2), (19, 0), (24, 2), (28, 8)])
+            .expect_err("not aligned")
+            .to_string();
+        assert_eq!(place, "region: [4, 2, 8], expected multiples of 4");
     }
 
     #[test]

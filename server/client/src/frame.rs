@@ -3,9 +3,10 @@
 use serde::{Deserialize, Deserializer, de};
 use serde_json::Value;
 
+use crate::chunk::RegionKey;
 use crate::error::{Error, ensure};
 
-/// Root mean square and maximum of the distance of each region.
+/// Root mean square and maximum of the distance of each region of 32³ cells.
 pub type Distances = Vec<([u32; 3], [f64; 2])>;
 
 /// A decoded frame from the server.
@@ -37,7 +38,7 @@ pub enum Frame {
         surface: u8,
         generation: u32,
         level: u8,
-        region: [u32; 3],
+        region: RegionKey,
         bytes: usize,
         triangles: usize,
     },
@@ -95,7 +96,7 @@ pub enum Frame {
     Errors {
         surface: u8,
         generation: u32,
-        region: [u32; 3],
+        region: RegionKey,
         distances: Vec<f32>,
     },
     /// An answer to a question; `kind` is its type.

@@ -11,7 +11,7 @@ mod frame;
 mod surface;
 mod viewer;
 
-pub use chunk::{Chunk, ChunkError, LATTICE, Vertex};
+pub use chunk::{Chunk, ChunkError, LATTICE, RegionKey, Vertex};
 pub use connection::{Connection, RawFrame, SUBPROTOCOL, request};
 pub use error::Error;
 pub use frame::{Frame, Mesher, Prefix};

@@ -4,12 +4,12 @@ use std::collections::HashMap;
 
 use serde_json::Value;
 
-use crate::chunk::Chunk;
+use crate::chunk::{Chunk, RegionKey};
 use crate::error::{Error, ensure};
 use crate::frame::{Mesher, Prefix};
 
 /// Meshes by region.
-pub type Meshes = HashMap<[u32; 3], Chunk>;
+pub type Meshes = HashMap<RegionKey, Chunk>;
 
 /// Returns whether two surfaces have the same regions with the same meshes.
 pub fn same_meshes(one: &Meshes, other: &Meshes) -> bool {
@@ -126,9 +126,9 @@ impl Surface {
             measured: true,
         };
         for (region, _) in regions {
-            ensure(self.shown.contains_key(region), || {
-                format!("region {region:?} was measured, but is not shown")
-            })?;
+            // A larger region may have the mesh there.
+            let is_shown = RegionKey::around(*region).any(|region| self.shown.contains_key(&region));
+            ensure(is_shown, || format!("region {region:?} was measured, but is not shown"))?;
         }
         Ok(())
     }
@@ -223,6 +223,12 @@ impl Surface {
             } else {
                 self.shown.insert(region, chunk);
             }
+        }
+        for region in self.shown.keys() {
+            let overlapping = region.larger().find(|larger| self.shown.contains_key(larger));
+            ensure(overlapping.is_none(), || {
+                format!("{region:?} is inside {overlapping:?}")
+            })?;
         }
         self.check_triangles(Some(announced.triangles as u64))?;
         self.stage = match self.stage {

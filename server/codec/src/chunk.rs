@@ -2,13 +2,13 @@
 //! encoder is in `encode`. Normative: `PROTOCOL.md`, section 4.
 
 use bytes::Bytes;
-use isopeel_kernels::REGION_CELLS;
+use isopeel_kernels::{REGION_CELLS, RegionKey};
 use serde::Serialize;
 
 /// First bytes of a chunk.
 pub const MAGIC: [u8; 4] = *b"ISOP";
 /// Version of the layout.
-pub const VERSION: u16 = 2;
+pub const VERSION: u16 = 3;
 /// Bytes of the header.
 pub const HEADER_BYTES: usize = 96;
 /// Maximum number of surfaces that the layout can distinguish.
@@ -16,11 +16,12 @@ pub const MAX_SURFACES: u8 = 4;
 /// Lattice units per cell. Rounding moves a vertex by 0.005 cells across the surface (rms). That is a sixth of the distance between the
 /// smoothest mesh and the isosurface.
 pub const LATTICE: u16 = 64;
-/// Value of the bytes in the header that are reserved.
-const RESERVED: u16 = 0;
+/// Maximum size of a region, [`RegionKey::size`].
+pub const MAX_REGION_SIZE: u8 = 2;
 /// Bytes of a vertex before compression.
 pub const VERTEX_BYTES: usize = 12;
-/// Maximum indices of a region: two triangles for each grid edge in it and on its faces. Marching cubes has fewer, 5 a cell.
+/// Maximum indices of a region of 32³ cells: two triangles for each grid edge in it and on its faces. Marching cubes has fewer, 5 a cell.
+/// Larger regions have about a thousand triangles.
 pub const MAX_INDICES: u32 = 3 * 2 * 3 * REGION_CELLS * (REGION_CELLS + 1) * (REGION_CELLS + 1);
 
 // Vertices are sent as they are in memory, and the wire is little-endian.
@@ -112,8 +113,8 @@ pub struct ChunkHeader {
     pub prefix: PrefixId,
     /// How the mesh is coded.
     pub coding: Coding,
-    /// Region, in units of 32 cells.
-    pub region: [u32; 3],
+    /// The region.
+    pub region: RegionKey,
     /// Minimum position of the vertices, index space; zeros if there are none.
     pub min: [f32; 3],
     /// Maximum position of the vertices, index space; zeros if there are none.
@@ -194,6 +195,23 @@ impl PrefixId {
     }
 }
 
+/// Returns the key of a region.
+///
+/// # Errors
+/// The size is too large, or the coordinates are not multiples of 2^`size`.
+pub(super) fn region_key(coords: [u32; 3], size: u16) -> Result<RegionKey, String> {
+    let Some(allowed) = u8::try_from(size).ok().filter(|&size| size <= MAX_REGION_SIZE) else {
+        return Err(format!("region size {size}, expected 0 to {MAX_REGION_SIZE}"));
+    };
+    let step = 1 << allowed;
+    if coords.iter().any(|coordinate| coordinate % step != 0) {
+        return Err(format!(
+            "region {coords:?} of size {size}, expected multiples of {step}"
+        ));
+    }
+    Ok(RegionKey { coords, size: allowed })
+}
+
 impl ChunkHeader {
     /// Returns the header's bytes.
     pub fn to_bytes(&self) -> [u8; HEADER_BYTES] {
@@ -209,8 +227,8 @@ impl ChunkHeader {
         append(&self.prefix.to_bytes());
         append(&[self.coding as u8]);
         append(&LATTICE.to_le_bytes());
-        append(&RESERVED.to_le_bytes());
-        self.region.iter().for_each(|v| append(&v.to_le_bytes()));
+        append(&u16::from(self.region.size).to_le_bytes());
+        self.region.coords.iter().for_each(|v| append(&v.to_le_bytes()));
         self.min.iter().for_each(|v| append(&v.to_le_bytes()));
         self.max.iter().for_each(|v| append(&v.to_le_bytes()));
         append(&self.vertex_count.to_le_bytes());
@@ -244,11 +262,10 @@ impl ChunkHeader {
         expect_u16(4, "version", VERSION)?;
         expect_u16(6, "header length", HEADER_BYTES as u16)?;
         expect_u16(16, "lattice units per cell", LATTICE)?;
-        expect_u16(18, "reserved field", RESERVED)?;
         let header = Self {
             prefix: PrefixId::parse(u32_at(8), [frame[12], frame[13], frame[14]])?,
             coding: Coding::from_flags(frame[15])?,
-            region: [20, 24, 28].map(u32_at),
+            region: region_key([20, 24, 28].map(u32_at), u16_at(18)).map_err(ChunkError)?,
             min: [32, 36, 40].map(f32_at),
             max: [44, 48, 52].map(f32_at),
             vertex_count: u32_at(56),

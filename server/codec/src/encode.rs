@@ -3,11 +3,13 @@
 use std::cell::RefCell;
 
 use bytes::Bytes;
-use isopeel_kernels::{REGION_CELLS, Region, Surface, Vertex};
+use isopeel_kernels::{REGION_CELLS, Region, RegionKey, Surface, Vertex};
 use rayon::prelude::*;
 use xxhash_rust::xxh3::Xxh3;
 
-use super::chunk::{ChunkHeader, Coding, HEADER_BYTES, LATTICE, MAX_INDICES, PrefixId, VERTEX_BYTES, WireVertex};
+use super::chunk::{
+    ChunkHeader, Coding, HEADER_BYTES, LATTICE, MAX_INDICES, PrefixId, VERTEX_BYTES, WireVertex, region_key,
+};
 use super::index_codec::IndexWriter;
 use super::order::Traversal;
 use super::predictive;
@@ -15,10 +17,10 @@ use super::vertex_codec::VertexWriter;
 
 /// Why a region cannot be encoded. Such an error is a fault of this program, not of its input.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("region {coords:?}: {why}")]
+#[error("region {:?} of size {}: {why}", region.coords, region.size)]
 pub struct EncodeError {
-    /// Region, in units of 32 cells.
-    pub coords: [u32; 3],
+    /// The region.
+    pub region: RegionKey,
     /// The invalid value, and the expected one.
     pub why: String,
 }
@@ -39,13 +41,10 @@ const HASHED_TRIANGLES: usize = 32;
 
 impl WireVertex {
     /// Rounds a vertex to the wire's lattice. A region begins at a multiple of the lattice's unit, so vertices that are equal in two
-    /// regions stay equal. Positions are clamped to 16 bits, which hold 511 cells; the kernels guarantee at most 64.
+    /// regions stay equal. Positions are clamped to 16 bits, which hold 511 cells; [`encode`] refuses a region in which one exceeds them.
     pub fn quantise(vertex: &Vertex) -> Self {
-        // Rounds half up, also below zero. Rounding half away from zero would round equal positions of two regions differently.
-        let position = vertex.position.map(|coordinate| {
-            let unit = (coordinate + LATTICE_RATIO / 2) >> LATTICE_RATIO.trailing_zeros();
-            unit.clamp(i32::from(i16::MIN), i32::from(i16::MAX)) as i16
-        });
+        let clamp = |unit: i32| unit.clamp(i32::from(i16::MIN), i32::from(i16::MAX)) as i16;
+        let position = vertex.position.map(|coordinate| clamp(rounded(coordinate)));
         // n / 32767, rounded, by the first two terms of its series: n / 2¹⁵ + n / 2³⁰.
         let normal = vertex.normal.map(|n| {
             let n = i32::from(n) * 127;
@@ -67,6 +66,12 @@ impl WireVertex {
     }
 }
 
+/// Returns a coordinate in units of the wire's lattice. Rounds half up, also below zero. Rounding half away from zero would round equal
+/// positions of two regions differently. A coordinate that overflows becomes one below -2²⁰, which does not fit 16 bits either.
+fn rounded(coordinate: i32) -> i32 {
+    coordinate.wrapping_add(LATTICE_RATIO / 2) >> LATTICE_RATIO.trailing_zeros()
+}
+
 /// Rounds to a multiple of 256. The highest values become 65535, so that both ends of the range are exact. Eight bits are enough, because
 /// the colours of a transfer function differ by less. The low bytes are constant then, and the codec needs no bytes for a constant plane.
 fn leading_byte(value: u16) -> u16 {
@@ -80,18 +85,19 @@ fn leading_byte(value: u16) -> u16 {
 /// level, and vertices by their first use.
 ///
 /// # Errors
-/// An index is above the last vertex, there are more indices or vertices than a chunk may have, or the levels do not add up.
+/// An index is above the last vertex, there are more indices or vertices than a chunk may have, the levels do not add up, the region has a
+/// wrong size or place, or a vertex is farther from the region's low corner than 16 bits can say.
 pub fn encode(region: &Region, prefix: PrefixId) -> Result<Bytes, EncodeError> {
     check(region)?;
     SCRATCH.with_borrow_mut(|scratch| {
         scratch.write(region);
         let vertex_payload = scratch.vertex_payload.payload();
         let index_payload = scratch.indices.payload();
-        let (min, max) = bounds(region.coords, &scratch.vertices);
+        let (min, max) = bounds(region.key(), &scratch.vertices);
         let header = ChunkHeader {
             prefix,
             coding: Coding::Meshopt,
-            region: region.coords,
+            region: region.key(),
             min,
             max,
             vertex_count: scratch.vertices.len() as u32,
@@ -112,10 +118,11 @@ pub fn encode(region: &Region, prefix: PrefixId) -> Result<Bytes, EncodeError> {
 /// Returns the chunk that removes a region.
 ///
 /// # Errors
-/// As [`encode`], although an empty region causes none of these errors.
-pub fn encode_gone(coords: [u32; 3], prefix: PrefixId) -> Result<Bytes, EncodeError> {
+/// As [`encode`], although an empty region causes only those of its size and place.
+pub fn encode_gone(key: RegionKey, prefix: PrefixId) -> Result<Bytes, EncodeError> {
     let region = Region {
-        coords,
+        coords: key.coords,
+        size: key.size,
         ..Region::default()
     };
     encode(&region, prefix)
@@ -134,7 +141,7 @@ pub fn encode_errors(
     check(region)?;
     if errors.len() != region.vertices.len() {
         return Err(EncodeError {
-            coords: region.coords,
+            region: region.key(),
             why: format!("{} errors of {} vertices", errors.len(), region.vertices.len()),
         });
     }
@@ -144,12 +151,12 @@ pub fn encode_errors(
     };
     SCRATCH.with_borrow_mut(|scratch| {
         scratch.write(region);
-        let (min, max) = bounds(region.coords, &scratch.vertices);
+        let (min, max) = bounds(region.key(), &scratch.vertices);
         let vertex_count = scratch.vertices.len() as u32;
         let header = ChunkHeader {
             prefix,
             coding: Coding::Meshopt,
-            region: region.coords,
+            region: region.key(),
             min,
             max,
             vertex_count,
@@ -174,17 +181,18 @@ pub fn encode_errors(
 fn order_of_predictive(region: &Region) -> Result<Vec<u32>, EncodeError> {
     let chunk = encode(region, PrefixId::cut(0, 0, 0))?;
     predictive::order(&chunk).map_err(|error| EncodeError {
-        coords: region.coords,
+        region: region.key(),
         why: error.to_string(),
     })
 }
 
-/// Checks that the levels add up, and that the indices and the numbers are in range.
+/// Checks that the levels add up, and that the place, the indices, the numbers and the positions are in range.
 fn check(region: &Region) -> Result<(), EncodeError> {
     let fault = |why: String| EncodeError {
-        coords: region.coords,
+        region: region.key(),
         why,
     };
+    region_key(region.coords, region.size.into()).map_err(fault)?;
     let triangles: u64 = region.level_triangles.iter().map(|&n| u64::from(n)).sum();
     if triangles * 3 != region.indices.len() as u64 {
         return Err(fault(format!(
@@ -207,7 +215,28 @@ fn check(region: &Region) -> Result<(), EncodeError> {
         let max = region.indices.iter().max().copied().unwrap_or_default();
         return Err(fault(format!("index {max} of {vertices} vertices")));
     }
-    Ok(())
+    check_positions(region).map_err(fault)
+}
+
+/// Checks that 16 bits hold the positions of all vertices that are sent.
+fn check_positions(region: &Region) -> Result<(), String> {
+    // The bits of a coordinate above the lowest 16, counted from the smallest coordinate that 16 bits hold.
+    let excess = |coordinate: i32| rounded(coordinate).wrapping_sub(i32::from(i16::MIN)) & !0xffff;
+    let excess_of = |vertex: &Vertex| vertex.position.into_iter().fold(0, |bits, x| bits | excess(x));
+    // A fold over all vertices is vectorised, too.
+    if region.vertices.iter().fold(0, |bits, vertex| bits | excess_of(vertex)) == 0 {
+        return Ok(());
+    }
+    // Vertices without triangles are not sent.
+    let is_outside = |index: &&u32| excess_of(&region.vertices[**index as usize]) != 0;
+    let Some(&index) = region.indices.iter().find(is_outside) else {
+        return Ok(());
+    };
+    let position = region.vertices[index as usize].position;
+    let cells = position.map(|coordinate| f64::from(coordinate) / f64::from(Vertex::LATTICE));
+    Err(format!(
+        "vertex {index} is {cells:?} cells from the low corner, expected at most 511 along each axis"
+    ))
 }
 
 /// Hashes of a region's mesh as it is sent. They depend on the sent values of the vertices, not on their numbers.
@@ -319,7 +348,7 @@ impl Scratch {
 }
 
 /// Returns the minimum and the maximum position in index space.
-fn bounds(coords: [u32; 3], vertices: &[WireVertex]) -> ([f32; 3], [f32; 3]) {
+fn bounds(region: RegionKey, vertices: &[WireVertex]) -> ([f32; 3], [f32; 3]) {
     let Some(first) = vertices.first() else {
         return ([0.0; 3], [0.0; 3]);
     };
@@ -333,7 +362,7 @@ fn bounds(coords: [u32; 3], vertices: &[WireVertex]) -> ([f32; 3], [f32; 3]) {
     // Computes in f64, because above 2¹⁶ cells a sum in f32 is too coarse for the lattice.
     let index = |position: [i16; 3]| {
         [0, 1, 2].map(|axis| {
-            let corner = f64::from(coords[axis]) * f64::from(REGION_CELLS);
+            let corner = f64::from(region.coords[axis]) * f64::from(REGION_CELLS);
             (corner + f64::from(position[axis]) / f64::from(LATTICE)) as f32
         })
     };

@@ -4,7 +4,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use isopeel_geometry::TriangleSoup;
-use isopeel_kernels::{Cancel, Error, REGION_CELLS, Region, RegionVertex, Vertex, check_cancelled};
+use isopeel_kernels::{Cancel, Error, Region, RegionVertex, Vertex, check_cancelled};
 use rayon::ThreadPool;
 
 /// Interval at which the device's thread pauses for other work while it waits for the search.
@@ -73,11 +73,8 @@ fn find_vertices(
     let (mut positions, mut triangles, mut vertices) = (Vec::new(), Vec::new(), Vec::new());
     for (region_index, region) in (0u32..).zip(regions) {
         let base = positions.len() as u32;
-        let origin = region
-            .coords
-            .map(|coordinate| f64::from(coordinate) * f64::from(REGION_CELLS as i32 * Vertex::LATTICE));
         for (number, vertex) in (0u32..).zip(&region.vertices) {
-            positions.push([0, 1, 2].map(|axis| origin[axis] + f64::from(vertex.position[axis])));
+            positions.push(region.position_of(vertex).map(|coordinate| coordinate as f64));
             vertices.push([region_index, number]);
         }
         let corners = region.indices.chunks_exact(3);

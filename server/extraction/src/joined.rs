@@ -1,11 +1,8 @@
 //! Joins the regions of a surface into one mesh.
 
 use isopeel_geometry::{DVec3, IndexSpace};
-use isopeel_kernels::{REGION_CELLS, Region, Vertex};
+use isopeel_kernels::{Region, Vertex};
 use rustc_hash::{FxHashMap, FxHashSet};
-
-/// Lattice units per region.
-const REGION_LATTICE: i32 = REGION_CELLS as i32 * Vertex::LATTICE;
 
 /// All attributes of a vertex, with the position on the lattice of the whole volume. Vertices with equal keys are joined.
 type Key = ([i64; 3], [i16; 2], u16, u16);
@@ -136,8 +133,9 @@ impl Vertices {
     fn new(regions: &[Region]) -> Self {
         let (mut outside, mut overhang) = (FxHashSet::default(), 0);
         for region in regions {
+            let edge = region.key().lattice();
             for vertex in &region.vertices {
-                let beyond = -distance_inside(vertex);
+                let beyond = -distance_inside(edge, vertex);
                 if beyond > 0 {
                     outside.insert(key(region, vertex));
                     overhang = overhang.max(beyond);
@@ -159,10 +157,11 @@ impl Vertices {
     ) -> Result<&[u32], E> {
         self.joined.clear();
         self.copies.clear();
+        let edge = region.key().lattice();
         for vertex in &region.vertices {
             let key = key(region, vertex);
             let new = self.count;
-            let inside = distance_inside(vertex);
+            let inside = distance_inside(edge, vertex);
             let index = if inside > self.overhang || (inside > 0 && !self.outside.contains(&key)) {
                 new
             } else {
@@ -182,18 +181,19 @@ impl Vertices {
 }
 
 /// Returns the distance of a vertex from the nearest face of its region, in lattice units; negative if the vertex is outside the region.
-fn distance_inside(vertex: &Vertex) -> i32 {
-    let [x, y, z] = vertex
-        .position
-        .map(|coordinate| coordinate.min(REGION_LATTICE - coordinate));
+/// `edge`: length of the region's edges.
+fn distance_inside(edge: i32, vertex: &Vertex) -> i32 {
+    let [x, y, z] = vertex.position.map(|coordinate| coordinate.min(edge - coordinate));
     x.min(y).min(z)
 }
 
 fn key(region: &Region, vertex: &Vertex) -> Key {
-    let coordinate =
-        |axis: usize| i64::from(region.coords[axis]) * i64::from(REGION_LATTICE) + i64::from(vertex.position[axis]);
-    let position = [coordinate(0), coordinate(1), coordinate(2)];
-    (position, vertex.normal, vertex.smoothness, vertex.feature)
+    (
+        region.position_of(vertex),
+        vertex.normal,
+        vertex.smoothness,
+        vertex.feature,
+    )
 }
 
 /// Refuses a region whose indices would be out of bounds.

@@ -439,6 +439,7 @@ mod tests {
     fn one_triangle_is_a_mesh_and_none_is_a_scene_without_nodes() {
         let one = surface(vec![Region {
             coords: [0, 0, 0],
+            size: 0,
             vertices: [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
                 .map(vertex)
                 .to_vec()

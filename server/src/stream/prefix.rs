@@ -7,6 +7,7 @@ use axum::body::Bytes;
 use isopeel_codec::chunk::{Coding, PrefixId};
 use isopeel_codec::encode::{self, EncodeError, MAX_TASK_REGIONS, MeshHash};
 use isopeel_extraction::VertexErrors;
+use isopeel_kernels::RegionKey;
 use rayon::prelude::*;
 use rustc_hash::FxHashSet;
 use tokio_util::sync::CancellationToken;
@@ -56,7 +57,7 @@ pub(super) enum Part {
     /// The mesh of a region, by the index of the region in the step.
     Made(usize),
     /// The region has no mesh any more.
-    Gone([u32; 3]),
+    Gone(RegionKey),
 }
 
 impl Part {
@@ -78,13 +79,13 @@ impl Part {
     fn encode(self, step: &SharedStep, id: (PrefixId, Coding), cache: &ChunkCache) -> Result<Bytes, EncodeError> {
         match self {
             Self::Made(region) => step.chunk(region, id, cache),
-            Self::Gone(coords) => encode::encode_gone(coords, id.0),
+            Self::Gone(key) => encode::encode_gone(key, id.0),
         }
     }
 }
 
 /// Returns the regions of a step that differ from `held`, to be sent in this coding. A step contains all regions of a surface, or only the
-/// regions that were remade.
+/// regions that were remade. If smaller regions give way to a larger one, or the other way, the former are sent as gone.
 pub(super) async fn compare(
     step: Arc<SharedStep>,
     held: Arc<HeldRegions>,
@@ -102,29 +103,25 @@ pub(super) async fn compare(
 }
 
 fn differences(step: Arc<SharedStep>, held: &HeldRegions, coding: Coding) -> Changes {
-    let with_mesh: FxHashSet<[u32; 3]> = step.regions.iter().map(|region| region.coords).collect();
+    let with_mesh: FxHashSet<RegionKey> = step.regions.iter().map(|region| region.key).collect();
     let remade = step.refinement.surface.remade.as_ref();
-    let mut gone: Vec<[u32; 3]> = match remade {
-        Some(remade) => remade
-            .iter()
-            .filter(|coords| held.contains_key(*coords))
-            .copied()
-            .collect(),
+    let mut gone: Vec<RegionKey> = match remade {
+        Some(remade) => remade.iter().filter(|key| held.contains_key(*key)).copied().collect(),
         None => held.keys().copied().collect(),
     };
-    gone.retain(|coords| !with_mesh.contains(coords));
+    gone.retain(|key| !with_mesh.contains(key));
     gone.sort_unstable();
     let mut after = if remade.is_some() {
         held.clone()
     } else {
         HeldRegions::default()
     };
-    for coords in &gone {
-        after.remove(coords);
+    for key in &gone {
+        after.remove(key);
     }
     let mut changed = Vec::new();
     for (index, region) in step.regions.iter().enumerate() {
-        let before = held.get(&region.coords);
+        let before = held.get(&region.key);
         let unchanged_region = before.filter(|before| before.hash.unordered == region.hash.unordered);
         if unchanged_region.is_none() {
             changed.push(Part::Made(index));
@@ -134,7 +131,7 @@ fn differences(step: Arc<SharedStep>, held: &HeldRegions, coding: Coding) -> Cha
             hash: region.hash,
             coding,
         };
-        after.insert(region.coords, *unchanged_region.unwrap_or(&sent));
+        after.insert(region.key, *unchanged_region.unwrap_or(&sent));
     }
     let unchanged = after.len() - changed.len();
     changed.extend(gone.into_iter().map(Part::Gone));
@@ -203,7 +200,7 @@ pub(super) async fn encode_errors(
             if token.is_cancelled() {
                 return Err(PrefixError::Cancelled);
             }
-            let held = (held.get(&region.coords)).filter(|held| held.hash == MeshHash::of(&region));
+            let held = (held.get(&region.key())).filter(|held| held.hash == MeshHash::of(&region));
             let Some(held) = held else { return Ok(None) };
             Ok(Some(encode::encode_errors(&region, &distances, (prefix, held.coding))?))
         };
@@ -215,7 +212,122 @@ pub(super) async fn encode_errors(
 
 #[cfg(test)]
 mod tests {
-    use super::{BATCH_CHUNKS, BATCH_TRIANGLES, take_batch_for};
+    use std::sync::Arc;
+
+    use isopeel_codec::chunk::{Coding, PrefixId};
+    use isopeel_codec::decode::decode;
+    use isopeel_extraction::Refinement;
+    use isopeel_kernels::{Region, RegionKey, Surface, Vertex};
+    use isopeel_view::View;
+    use isopeel_volumes::{VolumeStep, testing};
+    use tokio_util::sync::CancellationToken;
+
+    use super::{
+        BATCH_CHUNKS, BATCH_TRIANGLES, Changes, ChunkCache, HeldRegions, SharedStep, differences, take_batch_for,
+    };
+
+    /// Eight regions that are one region of size 1 together, and a region beside them.
+    const SMALL: [[u32; 3]; 8] = [
+        [0, 0, 0],
+        [0, 0, 1],
+        [0, 1, 0],
+        [0, 1, 1],
+        [1, 0, 0],
+        [1, 0, 1],
+        [1, 1, 0],
+        [1, 1, 1],
+    ];
+    const LARGE: RegionKey = RegionKey {
+        coords: [0; 3],
+        size: 1,
+    };
+    const BESIDE: RegionKey = RegionKey {
+        coords: [2, 0, 0],
+        size: 0,
+    };
+
+    /// A region with one triangle, the same one in all regions.
+    fn region(key: RegionKey) -> Region {
+        let vertex = |position| Vertex {
+            position,
+            normal: [0, 0],
+            smoothness: 0,
+            feature: 0,
+        };
+        Region {
+            coords: key.coords,
+            size: key.size,
+            vertices: [[0, 0, 0], [65536, 0, 0], [0, 65536, 0]].map(vertex).to_vec().into(),
+            indices: vec![0, 1, 2].into(),
+            level_triangles: [1, 0, 0, 0, 0, 0],
+            error: None,
+        }
+    }
+
+    /// Compares a surface of these regions with the regions that a client holds.
+    async fn changes(regions: &[RegionKey], remade: Option<&[RegionKey]>, held: &HeldRegions) -> Changes {
+        let mut refinement = Refinement::nothing(&View::plain(&["density"]));
+        refinement.surface = Surface {
+            regions: regions.iter().copied().map(region).collect(),
+            remade: remade.map(<[_]>::to_vec),
+            ..refinement.surface
+        };
+        let dataset = Arc::new(testing::dataset("ball", [65; 3], &["density"]));
+        let volume = VolumeStep::new(dataset, 0).expect("a step");
+        let step = SharedStep::new(refinement, &volume, CancellationToken::new()).await;
+        differences(step.expect("a step"), held, Coding::Meshopt)
+    }
+
+    /// Returns the regions whose chunks are sent: those with a mesh, and those without.
+    fn sent(changes: &Changes, cache: &ChunkCache) -> [Vec<RegionKey>; 2] {
+        let mut sent = [Vec::new(), Vec::new()];
+        for part in &changes.changed {
+            let id = (PrefixId::cut(0, 1, 0), changes.coding);
+            let frame = part.encode(&changes.step, id, cache).expect("a chunk");
+            let header = decode(&frame).expect("a valid chunk").header;
+            sent[usize::from(header.vertex_count == 0)].push(header.region);
+        }
+        sent
+    }
+
+    #[tokio::test]
+    async fn regions_that_merge_and_split_are_sent_and_removed() {
+        let cache = ChunkCache::new(1 << 20);
+        let small = SMALL.map(RegionKey::smallest);
+        let (with_small, with_large) = ([&small[..], &[BESIDE]].concat(), [LARGE, BESIDE]);
+        let all = changes(&with_small, None, &HeldRegions::default()).await;
+        assert_eq!(
+            (all.unchanged, sent(&all, &cache)),
+            (0, [with_small.clone(), Vec::new()])
+        );
+
+        // The large region has the mesh and the low corner of the first small one, whose chunk is cached, but it is another region.
+        let both = [&small[..], &[LARGE]].concat();
+        let merged = changes(&[LARGE], Some(&both), &all.held).await;
+        assert_eq!(
+            (merged.unchanged, sent(&merged, &cache)),
+            (1, [vec![LARGE], small.to_vec()])
+        );
+        let mut held: Vec<_> = merged.held.keys().copied().collect();
+        held.sort_unstable();
+        assert_eq!(held, with_large);
+
+        // Only two of the small regions have triangles now.
+        let split = changes(&[small[0], small[7]], Some(&both), &merged.held).await;
+        assert_eq!(
+            (split.unchanged, sent(&split, &cache)),
+            (1, [vec![small[0], small[7]], vec![LARGE]])
+        );
+
+        // As a whole surface, without a list of what was remade.
+        let whole = changes(&with_large, None, &split.held).await;
+        assert_eq!(
+            (whole.unchanged, sent(&whole, &cache)),
+            (1, [vec![LARGE], vec![small[0], small[7]]])
+        );
+        let same = changes(&with_large, None, &whole.held).await;
+        assert_eq!((same.unchanged, same.changed), (2, Vec::new()));
+    }
 
     #[test]
     fn batches_are_bounded_and_take_everything() {

@@ -5,7 +5,7 @@ mod client;
 use std::time::Duration;
 
 use isopeel::stream::StepTimes;
-use isopeel_client::{Chunk, Frame, same_meshes};
+use isopeel_client::{Chunk, Frame, RegionKey, same_meshes};
 use serde_json::json;
 use tokio::time::timeout;
 
@@ -38,7 +38,7 @@ async fn the_demo_comes_coarse_first_and_whole() {
         panic!("straight to the final surface, found {prefixes:?}");
     };
     let is_unchanged =
-        |(region, mesh): &(&[u32; 3], &Chunk)| before.get(*region).is_some_and(|held| held.same_mesh(mesh));
+        |(region, mesh): &(&RegionKey, &Chunk)| before.get(*region).is_some_and(|held| held.same_mesh(mesh));
     let unchanged = viewer.shown.iter().filter(is_unchanged).count();
     let removed = before
         .keys()

@@ -11,11 +11,15 @@ import websockets
 
 
 def decode_chunk(frame):
-    """Region, its vertices in index space, its triangles."""
+    """Region (size and coordinates), its vertices in index space, its triangles."""
     if frame[:4] != b"ISOP":
         raise SystemExit("a chunk without its magic")
+    version, size = (struct.unpack_from("<H", frame, at)[0] for at in (4, 18))
+    if version != 3 or size > 2:
+        raise SystemExit(f"a chunk of version {version} and size {size}, expected version 3 and a size up to 2")
     lattice = struct.unpack_from("<H", frame, 16)[0]
-    region = struct.unpack_from("<3I", frame, 20)
+    coordinates = struct.unpack_from("<3I", frame, 20)
+    region = size, *coordinates
     vertices, indices, vertex_bytes, _ = struct.unpack_from("<4I", frame, 56)
     if vertices == 0:
         return region, np.empty((0, 3)), np.empty((0, 3), np.int64)
@@ -24,7 +28,7 @@ def decode_chunk(frame):
     records = meshoptimizer.decode_vertex_buffer(vertices, 12, payload[:vertex_bytes])
     lattice_points = np.ascontiguousarray(records).view("<i2").reshape(vertices, 6)[:, :3]
     faces = meshoptimizer.decode_index_buffer(indices, 4, payload[vertex_bytes:])
-    return region, np.array(region) * 32 + lattice_points / lattice, np.asarray(faces).reshape(-1, 3).astype(np.int64)
+    return region, np.array(coordinates) * 32 + lattice_points / lattice, np.asarray(faces).reshape(-1, 3).astype(np.int64)
 
 
 async def first_surface(uri, volume, edit):

@@ -4,6 +4,7 @@ use std::collections::{HashMap, HashSet};
 use std::time::Duration;
 
 use isopeel::stream::{Deadlines, StepTimes};
+use isopeel_client::RegionKey;
 use serde_json::{Value, json};
 
 use crate::support::viewer::{Frame, Viewer};
@@ -37,19 +38,19 @@ async fn a_beta_edit_sends_only_the_regions_that_it_changes() {
     let frames = viewer.log.len();
     viewer.edit(plain(100.0, 0.0201)).await;
 
-    let regions: HashSet<[u32; 3]> = before.keys().chain(viewer.shown.keys()).copied().collect();
-    let same = |region: &[u32; 3]| match (before.get(region), viewer.shown.get(region)) {
+    let regions: HashSet<RegionKey> = before.keys().chain(viewer.shown.keys()).copied().collect();
+    let same = |region: &RegionKey| match (before.get(region), viewer.shown.get(region)) {
         (Some(before), Some(after)) => before.same_mesh(after),
         _ => false,
     };
-    let changed: HashSet<[u32; 3]> = regions.iter().filter(|region| !same(region)).copied().collect();
+    let changed: HashSet<RegionKey> = regions.iter().filter(|region| !same(region)).copied().collect();
     assert!(
         !changed.is_empty() && changed.len() * 2 < regions.len(),
         "{} of {} changed",
         changed.len(),
         regions.len()
     );
-    let sent: HashSet<[u32; 3]> = viewer.log[frames..]
+    let sent: HashSet<RegionKey> = viewer.log[frames..]
         .iter()
         .filter_map(|frame| match frame {
             Frame::Chunk { region, .. } => Some(*region),
@@ -149,7 +150,7 @@ async fn an_edit_during_another_supersedes_it() {
     let mut alone = Viewer::open(address, demo::ID).await;
     let expected = alone.edit(plain(120.0, 0.1)).await;
     assert_eq!(statistics["triangles"], expected["triangles"]);
-    let meshes = |viewer: &Viewer| -> HashMap<[u32; 3], usize> {
+    let meshes = |viewer: &Viewer| -> HashMap<RegionKey, usize> {
         viewer
             .shown
             .iter()

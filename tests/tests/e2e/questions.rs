@@ -284,7 +284,7 @@ async fn check_annotation(viewer: &mut Viewer, asked: u8, radius: f32) {
         };
         assert_eq!(surface, asked);
         for (vertex, distance) in shown[&region].vertices.iter().zip(distances) {
-            let at = |i: usize| region[i] as f32 * 32.0 + f32::from(vertex.position[i]) / 64.0 - 36.0;
+            let at = |i: usize| region.coords[i] as f32 * 32.0 + f32::from(vertex.position[i]) / 64.0 - 36.0;
             let expected = ((0..3).map(|i| at(i).powi(2)).sum::<f32>().sqrt() - radius).abs();
             assert!(
                 (distance - expected).abs() < 0.06 + 0.1 * expected,

@@ -17,7 +17,7 @@ const VIEWERS: usize = 8;
 
 /// A viewer's final chunks by region, and the time until `done`.
 struct Shown {
-    chunks: BTreeMap<[u8; 12], Vec<u8>>,
+    chunks: BTreeMap<[u8; 14], Vec<u8>>,
     done: Duration,
 }
 
@@ -31,8 +31,8 @@ async fn look(address: SocketAddr) -> Shown {
     loop {
         match connection.next().await.expect("a frame") {
             RawFrame::Chunk(frame) => {
-                // The mesh with its region, without generation, level, kind and surface.
-                let region = frame[20..32].try_into().expect("twelve bytes");
+                // The mesh with its region, of which size and coordinates are the key, without generation, level, kind and surface.
+                let region = frame[18..32].try_into().expect("fourteen bytes");
                 chunks.insert(region, [&frame[..8], &frame[16..]].concat());
             }
             RawFrame::Text(text) => {

@@ -3,7 +3,7 @@
 use std::net::SocketAddr;
 use std::time::Duration;
 
-use isopeel_client::{Prefix, Vertex, same_meshes};
+use isopeel_client::{Prefix, RegionKey, Vertex, same_meshes};
 use serde_json::json;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpListener, TcpStream};
@@ -129,7 +129,7 @@ async fn check_codings(slow: &mut Viewer, fast: &mut Viewer) {
 }
 
 /// All vertices that are shown, with their distances to the isosurface.
-async fn errors(viewer: &mut Viewer) -> Vec<([u32; 3], Vertex, u32)> {
+async fn errors(viewer: &mut Viewer) -> Vec<(RegionKey, Vertex, u32)> {
     let question = json!({"type": "annotate", "annotation": "error"});
     let (_, annotated) = viewer.ask(question).await;
     let mut errors = Vec::new();

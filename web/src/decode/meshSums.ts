@@ -24,7 +24,7 @@ export interface SummedMesh {
   /** Six 16-bit words a vertex, of which the first three are its position. */
   readonly vertices: Int16Array;
   readonly indices: Uint16Array | Uint32Array;
-  /** Region coordinates. */
+  /** Region coordinates: of its low corner, whatever its size. */
   readonly region: Vec3;
   /** Position units per cell. */
   readonly lattice: number;

@@ -4,14 +4,17 @@ import { LEVELS, REGION_CELLS } from "./generated";
 import type { Vec3 } from "./types";
 
 /** Version of the layout. */
-const VERSION = 2;
+const VERSION = 3;
 export const HEADER_BYTES = 96;
 export const VERTEX_BYTES = 12;
 
 /** Surfaces that the layout can number. */
 const MAX_SURFACES = 4;
 
-/** Two for each grid edge in a region and on its faces. */
+/** Maximum size of a region. */
+const MAX_SIZE = 2;
+
+/** Two for each grid edge in a region of 32³ cells and on its faces. Larger regions have few triangles. */
 const MAX_TRIANGLES = 2 * 3 * REGION_CELLS * (REGION_CELLS + 1) ** 2;
 export const MAX_INDICES = 3 * MAX_TRIANGLES;
 /** Every vertex belongs to a triangle. */
@@ -35,8 +38,10 @@ export interface ChunkHeader {
   readonly surface: number;
   /** Lattice units per cell. */
   readonly lattice: number;
-  /** Region coordinates, in units of 32 cells. */
+  /** Region coordinates: of its low corner, in units of 32 cells, multiples of 2^size. */
   readonly region: Vec3;
+  /** The region is a cube of 32·2^size cells. */
+  readonly size: number;
   /** In index space; zeros when the region is empty. */
   readonly bounds: { readonly min: Vec3; readonly max: Vec3 };
   readonly vertexCount: number;
@@ -73,13 +78,10 @@ export function readChunkHeader(frame: ArrayBuffer): ChunkHeader {
   const flags = view.getUint8(15);
   const coding = CODINGS[flags];
   check(coding !== undefined && (kind === "cut" || flags === 0), `flags ${flags} of kind ${kind}, expected 0 (meshopt) or, of cut, 1 (predictive)`);
+  const { region, size } = readRegion(view);
   const lattice = view.getUint16(16, true);
-  check(
-    lattice > 0 && lattice * REGION_CELLS <= 0x7fff,
-    `${lattice} lattice units per cell, expected 1 to ${Math.floor(0x7fff / REGION_CELLS)}`,
-  );
-  const reserved = view.getUint16(18, true);
-  check(reserved === 0, `reserved field ${reserved}, expected 0`);
+  const maxLattice = Math.floor(0x7fff / (REGION_CELLS << size));
+  check(lattice > 0 && lattice <= maxLattice, `${lattice} lattice units per cell, expected 1 to ${maxLattice}`);
   return {
     kind,
     coding,
@@ -87,7 +89,8 @@ export function readChunkHeader(frame: ArrayBuffer): ChunkHeader {
     level,
     surface,
     lattice,
-    region: vec(20, (at) => view.getUint32(at, true)),
+    region,
+    size,
     bounds: readBounds(view),
     ...readCounts(view, kind, coding),
   };
@@ -104,6 +107,15 @@ function checkVersion(view: DataView): void {
   check(bytes >= HEADER_BYTES, `${bytes} bytes, expected at least a header of ${HEADER_BYTES} bytes`);
   const headerBytes = view.getUint16(6, true);
   check(headerBytes === HEADER_BYTES, `header length ${headerBytes}, expected ${HEADER_BYTES}`);
+}
+
+function readRegion(view: DataView): Pick<ChunkHeader, "region" | "size"> {
+  const size = view.getUint16(18, true);
+  check(size <= MAX_SIZE, `region size ${size}, expected 0 to ${MAX_SIZE}`);
+  const region = vec(20, (at) => view.getUint32(at, true));
+  const isAligned = region.every((coordinate) => coordinate % (1 << size) === 0);
+  check(isAligned, `region (${region.join(", ")}) of size ${size}, expected multiples of ${1 << size}`);
+  return { region, size };
 }
 
 function vec(offset: number, read: (offset: number) => number): Vec3 {

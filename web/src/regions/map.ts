@@ -13,8 +13,8 @@
 
 /** Names one received chunk; unique while the page lives. */
 export type ChunkId = number;
-/** `"a,b,c"`: region coordinates. */
-type RegionKey = string;
+/** `"a,b,c,s"`: coordinates and size of a region. */
+export type RegionKey = string;
 
 /** A prefix that is not shown yet. */
 interface PendingPrefix {

@@ -10,7 +10,7 @@ import type { RegionMeshData } from "../scene/regionMesh";
 import type { Annotated, View } from "../protocol/types";
 import type { Uneven } from "../world/uneven";
 import { Annotations, type Annotation } from "./annotations";
-import { heldChunk, type ChunkId } from "./map";
+import { heldChunk, type ChunkId, type RegionKey } from "./map";
 import { areSettled, reduceSurfaces, type SurfaceEffects, type SurfaceEvent, type SurfaceMaps, type SurfaceSwap } from "./surfaces";
 
 /** The part of the scene that the pipeline uses. */
@@ -42,6 +42,8 @@ export interface PipelineHandlers {
   /** The server or a chunk broke the protocol: start over with a `reset` and a new connection. */
   readonly onBroken: (reason: string) => void;
 }
+
+const keyOf = ({ region, size }: ChunkHeader): RegionKey => [...region, size].join();
 
 export class RegionPipeline {
   private readonly maps: SurfaceMaps = new Map();
@@ -89,9 +91,9 @@ export class RegionPipeline {
       this.handlers.onBroken(error instanceof Error ? error.message : String(error));
       return;
     }
-    const { surface, generation, level, region, vertexCount } = header;
+    const { surface, generation, level, vertexCount } = header;
     const id = vertexCount === 0 ? null : ++this.lastId;
-    if (!this.event({ type: "chunk", surface, generation, level, region: region.join(), id }) || id === null) return;
+    if (!this.event({ type: "chunk", surface, generation, level, region: keyOf(header), id }) || id === null) return;
     // Always defined here: `event` has refused a chunk outside a prefix.
     const mesher = this.meshers.get(surface);
     if (mesher === undefined) return;
@@ -159,11 +161,12 @@ export class RegionPipeline {
 
   /** @throws when the chunk is damaged, or has no place */
   private annotate(header: ChunkHeader, frame: ArrayBuffer): void {
-    const { surface, generation, region } = header;
+    const { surface, generation } = header;
+    const key = keyOf(header);
     const values = readDistances(header, frame);
     const map = this.maps.get(surface);
-    const id = map && heldChunk(map, region.join());
-    this.annotations.add({ surface, generation, values }, id, id !== undefined && map?.shown.get(region.join()) === id);
+    const id = map && heldChunk(map, key);
+    this.annotations.add({ surface, generation, values }, id, id !== undefined && map?.shown.get(key) === id);
   }
 
   private giveValues(id: ChunkId, values: Float32Array<ArrayBuffer>): void {

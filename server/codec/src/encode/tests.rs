@@ -1,10 +1,10 @@
-use isopeel_kernels::{Region, Vertex};
+use isopeel_kernels::{Region, RegionKey, Vertex};
 use proptest::prelude::*;
 
 use super::super::chunk::{ChunkHeader, ChunkKind, Coding, HEADER_BYTES, PrefixId, WireVertex, decode_errors};
 use super::super::decode::decode;
 use super::super::predictive;
-use super::{MeshHash, encode, encode_errors};
+use super::{MeshHash, encode, encode_errors, encode_gone};
 
 fn vertex(position: [i32; 3]) -> Vertex {
     Vertex {
@@ -19,6 +19,7 @@ fn vertex(position: [i32; 3]) -> Vertex {
 fn small_region() -> Region {
     Region {
         coords: [1, 0, 2],
+        size: 0,
         vertices: [[0, 0, 0], [65536, 0, 0], [0, 32768, 0], [65536, 65536, -65536]]
             .map(vertex)
             .to_vec()
@@ -43,7 +44,7 @@ fn hex(bytes: &[u8]) -> String {
 fn header_bytes_are_golden() {
     let frame = small_chunk();
     let expected = concat!(
-        "49534f50", "0200", "6000", "07000000", "04", "00", "02", "00", "4000", "0000", "01000000", "00000000",
+        "49534f50", "0300", "6000", "07000000", "04", "00", "02", "00", "4000", "0000", "01000000", "00000000",
         "02000000", "00000042", "00000000", "00007c42", "00000442", "0000803f", "00008042", "04000000", "06000000",
         "VVVVVVVV", "IIIIIIII", "01000000", "00000000", "00000000", "01000000", "00000000", "00000000",
     );
@@ -94,7 +95,7 @@ fn every_prefix_of_a_chunk_fails_and_one_byte_more_too() {
 fn a_bad_header_fails_with_its_field() {
     for (at, value, names) in [
         (0, 0x4a, "magic"),
-        (4, 1, "version 1, expected 2"),
+        (4, 1, "version 1, expected 3"),
         (6, 100, "header length"),
         (12, 6, "prefix level 6"),
         (13, 1, "expected 4 a vertex"),
@@ -103,7 +104,9 @@ fn a_bad_header_fails_with_its_field() {
         (15, 1, "bytes"),
         (15, 2, "flags 2"),
         (16, 1, "lattice"),
-        (18, 1, "reserved"),
+        (18, 1, "region [1, 0, 2] of size 1, expected multiples of 2"),
+        (18, 3, "region size 3, expected 0 to 2"),
+        (19, 1, "region size 256, expected 0 to 2"),
         (56, 5, "bytes"),
         (57, 255, "vertices"),
         (60, 7, "7 indices, expected a multiple of 3"),
@@ -129,7 +132,98 @@ fn a_region_without_vertices_is_a_bare_header() {
     let frame = encode(&empty, PrefixId::cut(0, 1, 0)).expect("valid region");
     assert_eq!(frame.len(), HEADER_BYTES);
     let chunk = decode(&frame).expect("decodes");
-    assert_eq!((chunk.header.region, chunk.header.vertex_count), ([3, 4, 5], 0));
+    let region = RegionKey::smallest([3, 4, 5]);
+    assert_eq!((chunk.header.region, chunk.header.vertex_count), (region, 0));
+    assert_eq!(encode_gone(region, PrefixId::cut(0, 1, 0)), Ok(frame));
+}
+
+/// A region of 128³ cells with vertices at its corners, and half a unit short of the last position that can be sent.
+fn large_region() -> Region {
+    let end = 128 * Vertex::LATTICE;
+    let last = 512 * Vertex::LATTICE - super::LATTICE_RATIO / 2 - 1;
+    Region {
+        coords: [4, 0, 8],
+        size: 2,
+        vertices: [[0; 3], [end, 0, 0], [0, end, end], [-512 * Vertex::LATTICE, last, 0]]
+            .map(vertex)
+            .to_vec()
+            .into(),
+        ..small_region()
+    }
+}
+
+#[test]
+fn a_region_of_several_comes_back_with_its_size() {
+    let (region, prefix) = (large_region(), PrefixId::cut(1, 2, 0));
+    let frame = encode(&region, prefix).expect("a valid region");
+    assert_eq!(hex(&frame[18..32]), "0200040000000000000008000000");
+    let coded = predictive::encode(&frame).expect("a valid chunk");
+    for frame in [&frame, &coded] {
+        let chunk = decode(frame).expect("decodes");
+        assert_eq!(chunk.header.region, region.key());
+        let mut found: Vec<_> = chunk.vertices.iter().map(|vertex| vertex.position).collect();
+        found.sort_unstable();
+        assert_eq!(found, [[-32768, 32767, 0], [0, 0, 0], [0, 8192, 8192], [8192, 0, 0]]);
+        assert_eq!(
+            (chunk.header.min, chunk.header.max),
+            ([-384.0, 0.0, 256.0], [256.0, 511.98438, 384.0])
+        );
+    }
+    let gone = encode_gone(region.key(), prefix).expect("a valid region");
+    assert_eq!(decode(&gone).expect("decodes").header.region, region.key());
+}
+
+#[test]
+fn a_region_of_a_wrong_size_or_place_is_refused() {
+    let refused = |region: Region| {
+        encode(&region, PrefixId::cut(0, 0, 0))
+            .expect_err("refused")
+            .to_string()
+    };
+    let error = refused(Region {
+        size: 3,
+        ..large_region()
+    });
+    assert_eq!(error, "region [4, 0, 8] of size 3: region size 3, expected 0 to 2");
+    let error = refused(Region {
+        coords: [4, 2, 8],
+        ..large_region()
+    });
+    assert!(
+        error.ends_with("region [4, 2, 8] of size 2, expected multiples of 4"),
+        "{error}"
+    );
+}
+
+#[test]
+fn a_position_that_does_not_fit_is_refused() {
+    let below = -512 * Vertex::LATTICE - super::LATTICE_RATIO / 2 - 1;
+    let above = 512 * Vertex::LATTICE - super::LATTICE_RATIO / 2;
+    for (axis, coordinate) in [
+        (0, below),
+        (1, above),
+        (2, i32::MIN),
+        (0, i32::MAX),
+        (1, i32::MAX - 600),
+    ] {
+        let mut region = large_region();
+        region.vertices.to_mut()[1].position[axis] = coordinate;
+        let error = encode(&region, PrefixId::cut(0, 0, 0))
+            .expect_err("refused")
+            .to_string();
+        let is_named = error.starts_with("region [4, 0, 8] of size 2: vertex 1 is [");
+        assert!(
+            is_named && error.ends_with("expected at most 511 along each axis"),
+            "{error}"
+        );
+        let distances = vec![0.0; region.vertices.len()];
+        let errors = encode_errors(&region, &distances, (PrefixId::cut(0, 0, 0), Coding::Meshopt));
+        assert!(errors.is_err());
+    }
+    // A vertex without triangles is not sent.
+    let mut region = large_region();
+    region.vertices.to_mut().push(vertex([i32::MAX, 0, 0]));
+    assert!(encode(&region, PrefixId::cut(0, 0, 0)).is_ok());
 }
 
 #[test]
@@ -137,7 +231,7 @@ fn what_does_not_fit_together_is_refused() {
     let mut region = small_region();
     region.indices.to_mut()[4] = 4;
     let error = encode(&region, PrefixId::cut(0, 0, 0)).expect_err("index past the end");
-    assert_eq!(error.to_string(), "region [1, 0, 2]: index 4 of 4 vertices");
+    assert_eq!(error.to_string(), "region [1, 0, 2] of size 0: index 4 of 4 vertices");
     let mut region = small_region();
     region.level_triangles[0] = 2;
     assert!(encode(&region, PrefixId::cut(0, 0, 0)).is_err());
@@ -240,12 +334,14 @@ prop_compose! {
     fn any_region()(vertices in prop::collection::vec(any_vertex(), 1..300))(
         triangles in prop::collection::vec([0..vertices.len() as u32, 0..vertices.len() as u32, 0..vertices.len() as u32], 1..400),
         coords in any::<[u16; 3]>(),
+        size in 0..=2_u8,
         split in 0.0..1.0,
         vertices in Just(vertices),
     ) -> Region {
         let fine = (triangles.len() as f64 * split) as u32;
         Region {
-            coords: coords.map(u32::from),
+            coords: coords.map(|c| u32::from(c) << size),
+            size,
             vertices: vertices.into(),
             level_triangles: [fine, 0, triangles.len() as u32 - fine, 0, 0, 0],
             indices: triangles.into_iter().flatten().collect::<Vec<_>>().into(),
@@ -259,6 +355,7 @@ proptest! {
     fn any_region_makes_the_round_trip(region in any_region()) {
         let frame = encode(&region, PrefixId::cut(3, u32::MAX, 5)).expect("valid region");
         let chunk = decode(&frame).expect("decodes");
+        prop_assert_eq!(chunk.header.region, region.key());
         prop_assert_eq!(chunk.header.level_triangles, region.level_triangles);
         // The same triangles of each level, in any order, no vertex twice and none unused.
         let mut first = 0;
@@ -297,7 +394,7 @@ proptest! {
     #[test]
     fn noise_never_panics(mut bytes in prop::collection::vec(any::<u8>(), 0..300), magic: bool) {
         if magic && bytes.len() >= 8 {
-            bytes[..8].copy_from_slice(&[b'I', b'S', b'O', b'P', 2, 0, 96, 0]);
+            bytes[..8].copy_from_slice(&[b'I', b'S', b'O', b'P', 3, 0, 96, 0]);
         }
         let _ = decode(&bytes);
     }

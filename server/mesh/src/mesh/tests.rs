@@ -34,6 +34,7 @@ pub fn surface(regions: Vec<Region>) -> Surface {
 pub fn two_quads() -> Surface {
     let quad = |a: u32, x: [f64; 2], level_triangles| Region {
         coords: [a, 0, 0],
+        size: 0,
         vertices: [[x[0], 1.0], [x[1], 1.0], [x[1], 2.0], [x[0], 2.0]]
             .map(|[x, y]| vertex([x, y, 0.5]))
             .to_vec()
@@ -61,6 +62,25 @@ fn what_regions_share_is_there_once_and_triangles_are_ordered_by_level() {
     assert_eq!(mesh.world(1), [32.0, 1.0, 0.5]);
     assert_eq!(mesh.world(4), [35.25, 1.0, 0.5]);
     assert_eq!(mesh.feature, [1.0; 6]);
+}
+
+#[test]
+fn regions_of_different_sizes_share_their_vertices() {
+    // The first quad ends at x = 64, the face of a region of 64³ cells; the second one begins there.
+    let mut surface = two_quads();
+    surface.regions[0].size = 1;
+    for vertex in &mut *surface.regions[0].vertices.to_mut() {
+        vertex.position[0] += 32 * Vertex::LATTICE;
+    }
+    surface.regions[1].coords = [2, 0, 0];
+    for size in [0, 1] {
+        surface.regions[1].size = size;
+        let mesh = Mesh::new(&surface, &geometry()).unwrap();
+        assert_eq!(mesh.positions.len(), 6);
+        let mut x: Vec<_> = (0..6).map(|vertex| mesh.world(vertex)[0]).collect();
+        x.sort_unstable_by(f64::total_cmp);
+        assert_eq!(x, [62.0, 62.0, 64.0, 64.0, 67.25, 67.25]);
+    }
 }
 
 #[test]

@@ -4,9 +4,7 @@ use std::collections::HashMap;
 use std::fmt::Display;
 
 use isopeel_kernels::tables::cases::case_triangles;
-use isopeel_kernels::{
-    CutParams, Engine, Feature, Isovalue, Level, Never, REGION_CELLS, Samples, Surface, Vertex, Volume,
-};
+use isopeel_kernels::{CutParams, Engine, Feature, Isovalue, Level, Never, Samples, Surface, Volume};
 use isopeel_view::quality::MesherName;
 use rayon::prelude::*;
 
@@ -148,13 +146,7 @@ fn odd_edges(surface: &Surface) -> usize {
     type Point = [i64; 3];
     let mut odd: HashMap<(Point, Point), bool> = HashMap::new();
     for region in &surface.regions {
-        let origin = region
-            .coords
-            .map(|c| i64::from(c * REGION_CELLS) * i64::from(Vertex::LATTICE));
-        let point = |index: u32| -> Point {
-            let position = region.vertices[index as usize].position;
-            [0, 1, 2].map(|axis| origin[axis] + i64::from(position[axis]))
-        };
+        let point = |index: u32| region.position_of(&region.vertices[index as usize]);
         for triangle in region.indices.chunks_exact(3) {
             for (a, b) in [(0, 1), (1, 2), (2, 0)] {
                 let (a, b) = (point(triangle[a]), point(triangle[b]));
@@ -192,7 +184,7 @@ pub(super) fn check_watertight(engine: &Engine, args: &Args, recipe: &Recipe) ->
 #[cfg(test)]
 mod tests {
     use super::*;
-    use isopeel_kernels::{Region, SurfaceStatistics};
+    use isopeel_kernels::{Region, SurfaceStatistics, Vertex};
 
     fn surface(triangles: &[[u32; 3]]) -> Surface {
         let vertex = |x: i32, y: i32, z: i32| Vertex {
@@ -205,6 +197,7 @@ mod tests {
             remade: None,
             regions: vec![Region {
                 coords: [0; 3],
+                size: 0,
                 vertices: vec![vertex(0, 0, 0), vertex(9, 0, 0), vertex(0, 9, 0), vertex(0, 0, 9)].into(),
                 indices: triangles.concat().into(),
                 level_triangles: [triangles.len() as u32, 0, 0, 0, 0, 0],

@@ -39,7 +39,7 @@ struct CachedStep {
 
 impl ChunkCache {
     /// Creates a cache. `budget`: capacity in bytes; 0 caches nothing.
-    pub(super) fn new(budget: u64) -> Self {
+    pub(in crate::stream) fn new(budget: u64) -> Self {
         let metadata_bytes = budget / METADATA_DIVISOR;
         Self(Mutex::new(Entries {
             chunks: Bounded::new(budget - 2 * metadata_bytes),
@@ -63,7 +63,7 @@ impl ChunkCache {
         let with_chunk = |region: &RegionMetadata| {
             let key = ChunkKey {
                 volume_key: Arc::clone(&entry.volume_key),
-                coords: region.coords,
+                region: region.key,
                 hash: region.hash.ordered,
             };
             Some((*region, entries.chunks.get(&key)?.clone()))

@@ -7,7 +7,7 @@ use isopeel_codec::chunk::{Coding, PrefixId, with_prefix};
 use isopeel_codec::encode::{self, EncodeError, MAX_TASK_REGIONS, MeshHash};
 use isopeel_codec::predictive;
 use isopeel_extraction::{Refinement, Shown, Step, WorkError};
-use isopeel_kernels::Region;
+use isopeel_kernels::{Region, RegionKey};
 use isopeel_volumes::{DatasetKey, VolumeStep};
 use rayon::prelude::*;
 use rustc_hash::FxHashMap;
@@ -17,8 +17,8 @@ use super::{ANY_LINE_BYTES, MAX_LINE_FACTOR, MIN_LINE_DIVISOR, Outcome};
 use crate::metrics;
 use crate::pool;
 
-/// The regions that a client holds, by their positions.
-pub(in crate::stream) type HeldRegions = FxHashMap<[u32; 3], HeldRegion>;
+/// The regions that a client holds, by their places and sizes.
+pub(in crate::stream) type HeldRegions = FxHashMap<RegionKey, HeldRegion>;
 
 /// A region that a client holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -47,7 +47,7 @@ pub(in crate::stream) struct SharedStep {
 /// A region of a [`SharedStep`].
 #[derive(Debug)]
 pub(in crate::stream) struct SharedRegion {
-    pub coords: [u32; 3],
+    pub key: RegionKey,
     pub hash: MeshHash,
     pub triangles: usize,
     /// The mesh; `None` once it is encoded.
@@ -60,7 +60,7 @@ pub(in crate::stream) struct SharedRegion {
 /// Metadata of a region, which is cached beside the region's chunk.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct RegionMetadata {
-    pub coords: [u32; 3],
+    pub key: RegionKey,
     pub hash: MeshHash,
     pub triangles: usize,
 }
@@ -69,7 +69,7 @@ pub(super) struct RegionMetadata {
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub(in crate::stream) struct ChunkKey {
     pub volume_key: Arc<DatasetKey>,
-    pub coords: [u32; 3],
+    pub region: RegionKey,
     pub hash: u64,
 }
 
@@ -81,7 +81,7 @@ pub(in crate::stream) trait Chunks {
 
 impl SharedStep {
     /// Creates a step from the result of the device. A region without triangles counts as absent.
-    pub(super) async fn new(
+    pub(in crate::stream) async fn new(
         refinement: Refinement,
         volume: &VolumeStep,
         token: CancellationToken,
@@ -167,7 +167,7 @@ impl SharedStep {
     fn key_of(&self, region: &SharedRegion) -> ChunkKey {
         ChunkKey {
             volume_key: Arc::clone(&self.volume_key),
-            coords: region.coords,
+            region: region.key,
             hash: region.hash.ordered,
         }
     }
@@ -175,7 +175,7 @@ impl SharedStep {
     /// Returns the part of the step that the cache stores beside the chunks.
     pub(super) fn metadata(&self) -> (Refinement, Arc<DatasetKey>, Vec<RegionMetadata>) {
         let metadata = self.regions.iter().map(|region| RegionMetadata {
-            coords: region.coords,
+            key: region.key,
             hash: region.hash,
             triangles: region.triangles,
         });
@@ -193,7 +193,7 @@ impl SharedStep {
         regions: Vec<(RegionMetadata, Bytes)>,
     ) -> Self {
         let cached = |(region, chunk): (RegionMetadata, Bytes)| SharedRegion {
-            coords: region.coords,
+            key: region.key,
             hash: region.hash,
             triangles: region.triangles,
             mesh: Mutex::new(None),
@@ -211,7 +211,7 @@ impl SharedStep {
 impl SharedRegion {
     fn new(mesh: Region) -> Self {
         Self {
-            coords: mesh.coords,
+            key: mesh.key(),
             hash: MeshHash::of(&mesh),
             triangles: mesh.indices.len() / 3,
             mesh: Mutex::new(Some(mesh)),
@@ -236,7 +236,7 @@ impl SharedRegion {
     fn encode(&self, prefix: PrefixId) -> Result<Bytes, EncodeError> {
         let mesh = self.mesh.lock().unwrap_or_else(PoisonError::into_inner).take();
         let mesh = mesh.ok_or_else(|| EncodeError {
-            coords: self.coords,
+            region: self.key,
             why: "its mesh is gone".into(),
         })?;
         encode::encode(&mesh, prefix)
@@ -244,7 +244,7 @@ impl SharedRegion {
 
     fn encode_predictive(&self, chunk: &Bytes) -> Result<Bytes, EncodeError> {
         predictive::encode(chunk).map_err(|error| EncodeError {
-            coords: self.coords,
+            region: self.key,
             why: error.to_string(),
         })
     }

@@ -238,7 +238,7 @@ async fn an_annotation_comes_at_rest_for_the_regions_that_the_client_holds() {
     };
     let (header, errors) = decode_errors(&frame).expect("a chunk of errors");
     assert_eq!(
-        (header.prefix.kind, header.prefix.generation, header.region),
+        (header.prefix.kind, header.prefix.generation, header.region.coords),
         (ChunkKind::Error, 1, [0; 3])
     );
     assert_eq!(errors.len(), 3);
@@ -308,7 +308,10 @@ async fn an_annotation_is_of_its_surface_and_waits_until_all_rest() {
     };
     let (header, _) = decode_errors(&frame).expect("a chunk of errors");
     let prefix = header.prefix;
-    assert_eq!((prefix.surface, prefix.generation, header.region), (1, 2, [0; 3]));
+    assert_eq!(
+        (prefix.surface, prefix.generation, header.region.coords),
+        (1, 2, [0; 3])
+    );
     settle(&mut viewer).await;
 }
 

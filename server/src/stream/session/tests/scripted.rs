@@ -6,7 +6,7 @@ use std::time::Duration;
 use isopeel_extraction::{
     self, CutId, FullCount, Measurement, Question, Refinement, Shown, ShownSurface, Step, WorkError,
 };
-use isopeel_kernels::{Level, Region, Surface, SurfaceStatistics, Topology, Vertex};
+use isopeel_kernels::{Level, Region, RegionKey, Surface, SurfaceStatistics, Topology, Vertex};
 use isopeel_view::View;
 use isopeel_view::quality::Fitted;
 use isopeel_volumes::{Dataset, VolumeStep, testing};
@@ -187,6 +187,7 @@ fn region(x: u32, shape: i32) -> Region {
     };
     Region {
         coords: [x, 0, 0],
+        size: 0,
         vertices: [[0, 0, 0], [65536, 0, 0], [0, 65536 * shape, 0]]
             .map(vertex)
             .to_vec()
@@ -209,7 +210,7 @@ pub(super) struct Answer {
     level: u8,
     is_final: bool,
     can_improve: bool,
-    remade: Option<Vec<[u32; 3]>>,
+    remade: Option<Vec<RegionKey>>,
     regions: Vec<Region>,
     full_triangles: u64,
     triangles: u64,
@@ -262,7 +263,7 @@ impl Answer {
     /// Reports that only these regions were remade.
     pub(super) fn of_regions(self, remade: &[u32]) -> Self {
         Self {
-            remade: Some(remade.iter().map(|&x| [x, 0, 0]).collect()),
+            remade: Some(remade.iter().map(|&x| RegionKey::smallest([x, 0, 0])).collect()),
             ..self
         }
     }

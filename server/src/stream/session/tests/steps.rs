@@ -23,7 +23,7 @@ async fn steps_come_coarse_first_and_end_with_the_statistics() {
         (
             chunk.header.prefix.generation,
             chunk.header.prefix.level,
-            chunk.header.region
+            chunk.header.region.coords
         ),
         (1, 4, [0, 0, 0])
     );
@@ -32,7 +32,7 @@ async fn steps_come_coarse_first_and_end_with_the_statistics() {
     assert_eq!((job.shown(), job.made_triangles()), (Shown::Cut(CutId::new(1)), 1));
     job.answer(Answer::last(2, shapes(&[1, 2])));
     viewer.expect(&prefix(1, 0, [1, 1, 2], true)).await;
-    assert_eq!(viewer.chunk().await.header.region, [1, 0, 0]);
+    assert_eq!(viewer.chunk().await.header.region.coords, [1, 0, 0]);
     viewer.expect(&committed(1, 0, true)).await;
     let done = viewer.text().await;
     assert_eq!((&done["type"], &done["generation"]), (&"done".into(), &1.into()));
@@ -115,8 +115,11 @@ async fn only_what_changed_is_sent() {
     job.answer(Answer::last(3, shapes(&[1, 7, 3, 0, 5])));
     viewer.expect(&prefix(2, 0, [2, 3, 4], true)).await;
     let (changed, gone) = (viewer.chunk().await, viewer.chunk().await);
-    assert_eq!((changed.header.region, changed.header.vertex_count), ([1, 0, 0], 3));
-    assert_eq!((gone.header.region, gone.header.vertex_count), ([3, 0, 0], 0));
+    assert_eq!(
+        (changed.header.region.coords, changed.header.vertex_count),
+        ([1, 0, 0], 3)
+    );
+    assert_eq!((gone.header.region.coords, gone.header.vertex_count), ([3, 0, 0], 0));
     viewer.until("done").await;
 
     viewer.say(r#"{"type":"edit","alpha":0.9}"#).await;
@@ -138,8 +141,11 @@ async fn regions_that_were_not_made_anew_stay() {
         .answer(Answer::last(3, regions).of_regions(&[0, 1, 3]));
     viewer.expect(&prefix(2, 0, [2, 2, 2], true)).await;
     let (changed, gone) = (viewer.chunk().await, viewer.chunk().await);
-    assert_eq!((changed.header.region, changed.header.vertex_count), ([0, 0, 0], 3));
-    assert_eq!((gone.header.region, gone.header.vertex_count), ([3, 0, 0], 0));
+    assert_eq!(
+        (changed.header.region.coords, changed.header.vertex_count),
+        ([0, 0, 0], 3)
+    );
+    assert_eq!((gone.header.region.coords, gone.header.vertex_count), ([3, 0, 0], 0));
     viewer.until("done").await;
 }
 

@@ -57,7 +57,10 @@ async fn each_surface_has_its_view_and_its_map() {
     job.answer(Answer::last(3, shapes(&[3, 0, 5])));
     viewer.expect(&prefix_of(1, 3, 0, [1, 1, 2], true)).await;
     let chunk = viewer.chunk().await;
-    assert_eq!((chunk.header.prefix.surface, chunk.header.region), (1, [2, 0, 0]));
+    assert_eq!(
+        (chunk.header.prefix.surface, chunk.header.region.coords),
+        (1, [2, 0, 0])
+    );
     viewer.expect(&committed_of(1, 3, 0, true)).await;
     viewer.until("done").await;
 

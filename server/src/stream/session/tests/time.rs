@@ -21,7 +21,7 @@ async fn another_step_sends_what_differs_in_one_commit() {
     assert_eq!(job.view.iso.map(|iso| iso.get()), Some(100.0), "values in force stay");
     job.answer(Answer::last(3, shapes(&[1, 7, 3])));
     viewer.expect(&prefix(2, 0, [1, 2, 3], true)).await;
-    assert_eq!(viewer.chunk().await.header.region, [1, 0, 0]);
+    assert_eq!(viewer.chunk().await.header.region.coords, [1, 0, 0]);
     viewer.until("done").await;
     // From here on edits apply to this step.
     viewer.say(r#"{"type":"edit","beta":0.7}"#).await;
@@ -43,7 +43,7 @@ async fn nothing_is_shown_of_a_surface_that_a_step_has_not() {
     viewer.expect(&prefix(2, 0, [2, 0, 0], false)).await;
     for region in 0..2 {
         let header = viewer.chunk().await.header;
-        assert_eq!((header.region, header.vertex_count), ([region, 0, 0], 0));
+        assert_eq!((header.region.coords, header.vertex_count), ([region, 0, 0], 0));
     }
     viewer.expect(&committed(2, 0, false)).await;
     assert_eq!(viewer.error().await, ("over-budget".into(), true));

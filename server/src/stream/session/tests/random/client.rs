@@ -140,6 +140,6 @@ impl Client {
             .iter()
             .map(|vertex| i32::from(vertex.position[1]) / 64)
             .max();
-        assert_eq!(chunks.insert(chunk.header.region[0], shape.unwrap_or(0)), None);
+        assert_eq!(chunks.insert(chunk.header.region.coords[0], shape.unwrap_or(0)), None);
     }
 }
