@@ -30,6 +30,17 @@ pub(crate) struct Mesh {
     pub errors: Option<(Vec<SurfaceError>, SurfaceError)>,
 }
 
+/// A mesh of a cut, or of the regions in which it may differ from a shown one.
+struct MadeMesh {
+    mesh: Mesh,
+    /// Counts of all active regions.
+    meshes: Vec<RegionMesh>,
+    /// The regions that are made.
+    made: MeshRegions,
+    /// As [`Surface::remade`].
+    remade: Option<Vec<RegionKey>>,
+}
+
 impl Engine {
     /// Cuts the pyramid and meshes the cut. With `prefix` above 0, undecided cubes of that level count as leaves
     /// (`docs/algorithm.md#9-progressive-stream`). `volume` is the one the pyramid was built from. Stage times are the pyramid's and this call's.
@@ -70,7 +81,7 @@ impl Engine {
         let kept = kept.and_then(|kept| Some((&*kept.differences.meshes, lock(&kept.shown.meshes).clone()?)));
         // The error is measured by active regions.
         let is_joined = params.mesher == Mesher::Dual && !params.state_error;
-        let (mesh, meshes, made, remade) = match kept.filter(|_| is_joined) {
+        let made_mesh = match kept.filter(|_| is_joined) {
             Some((differs, shown)) => self.mesh_again(volume, pyramid, params, cut, (differs, shown), cancel)?,
             None => {
                 let mesh = self.mesh(volume, pyramid, params, cut, cancel)?;
@@ -79,9 +90,20 @@ impl Engine {
                     true => MeshRegions::joined(pyramid.region_coords(), &meshes),
                     false => MeshRegions::all(pyramid),
                 };
-                (mesh, meshes, made, None)
+                MadeMesh {
+                    mesh,
+                    meshes,
+                    made,
+                    remade: None,
+                }
             }
         };
+        let MadeMesh {
+            mesh,
+            meshes,
+            made,
+            remade,
+        } = made_mesh;
         let error = mesh.errors.as_ref().map(|(_, whole)| *whole);
         let regions = self.read_back_joined(pyramid, mesh, &made)?;
         let stages = self.cx.take_times()?;
@@ -169,7 +191,7 @@ impl Engine {
     }
 
     /// Meshes the regions of a cut in which it may differ from a shown one. `differs`: the active regions in which it may; `shown`: the
-    /// meshes of the shown one. Returns the mesh, counts of all active regions, the regions that are made, and all that may differ.
+    /// meshes of the shown one.
     fn mesh_again(
         &self,
         volume: &Volume,
@@ -178,7 +200,7 @@ impl Engine {
         cut: &Cut,
         (differs, shown): (&[bool], Vec<RegionMesh>),
         cancel: &dyn Cancel,
-    ) -> Result<(Mesh, Vec<RegionMesh>, MeshRegions, Option<Vec<RegionKey>>)> {
+    ) -> Result<MadeMesh> {
         let before = MeshRegions::joined(pyramid.region_coords(), &shown);
         let mut remake = differs.to_vec();
         before.complete(&mut remake);
@@ -195,7 +217,12 @@ impl Engine {
             counted = count(&remake)?;
         }
         let mesh = self.dual(volume, pyramid, params, cut, counted, cancel)?;
-        Ok((mesh, meshes, made, Some(different)))
+        Ok(MadeMesh {
+            mesh,
+            meshes,
+            made,
+            remade: Some(different),
+        })
     }
 
     fn dual(
