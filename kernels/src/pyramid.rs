@@ -102,7 +102,7 @@ impl Pyramid {
 }
 
 /// Returns the place of a region in Morton order.
-pub(crate) fn morton(coords: [u32; 3]) -> u64 {
+fn morton(coords: [u32; 3]) -> u64 {
     let spread = |c: u32| (0..21).fold(0u64, |bits, i| bits | (u64::from(c) >> i & 1) << (3 * i));
     spread(coords[0]) | spread(coords[1]) << 1 | spread(coords[2]) << 2
 }

@@ -72,11 +72,13 @@ impl RegionKey {
     }
 
     /// Length of an edge in units of a vertex position.
+    #[inline]
     pub fn lattice(self) -> i32 {
         (REGION_CELLS << self.size) as i32 * Vertex::LATTICE
     }
 
     /// Low corner in units of a vertex position.
+    #[inline]
     pub fn origin(self) -> [i64; 3] {
         self.coords
             .map(|c| i64::from(c * REGION_CELLS) * i64::from(Vertex::LATTICE))
@@ -103,6 +105,7 @@ pub struct Region {
 
 impl Region {
     /// Which region it is.
+    #[inline]
     pub fn key(&self) -> RegionKey {
         RegionKey {
             coords: self.coords,
@@ -111,6 +114,7 @@ impl Region {
     }
 
     /// Position of a vertex in the volume, in units of a vertex position.
+    #[inline]
     pub fn position_of(&self, vertex: &Vertex) -> [i64; 3] {
         let origin = self.key().origin();
         [0, 1, 2].map(|axis| origin[axis] + i64::from(vertex.position[axis]))

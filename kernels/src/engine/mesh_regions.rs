@@ -2,22 +2,22 @@
 
 use super::peel::triangles;
 use crate::layout::{NONE, RegionMesh};
-use crate::pyramid::morton;
 use crate::{Pyramid, Region, RegionKey, Vertex};
-use rustc_hash::{FxHashMap, FxHashSet};
+use rustc_hash::FxHashMap;
 
-/// Exponent of the size of the largest regions. The stream has 16 bits for a coordinate, and a vertex may lie far outside of its region.
-const MAX_SIZE: u8 = 2;
+/// Exponents of the sizes of regions that consist of several, the largest first. The stream has 16 bits for a coordinate, and a vertex may
+/// lie far outside of its region.
+const JOINED_SIZES: [usize; 2] = [2, 1];
 
 /// Maximum triangles of a region that consists of several.
-const MAX_JOINED_TRIANGLES: u32 = 1000;
+const MAX_JOINED_TRIANGLES: u32 = 2000;
 
 /// Regions are joined if they have fewer triangles than this, on average.
 const SPARSE_TRIANGLES: u32 = 100;
 
 /// Regions of a mesh, each with the active regions that it consists of.
-#[derive(Default)]
-pub(super) struct MeshRegions {
+#[derive(Clone, Debug, Default)]
+pub(crate) struct MeshRegions {
     pub keys: Vec<RegionKey>,
     /// Numbers of active regions, in ascending order within a region.
     members: Vec<u32>,
@@ -26,15 +26,57 @@ pub(super) struct MeshRegions {
 }
 
 /// What the surface of a cut of a vertex tree is in each region. Tells in which regions the surface of another cut of the same tree differs.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug)]
 pub struct TreeRegions {
     /// Id of the tree.
     tree: u64,
     /// Minimum and span of the feature's range, on which values at vertices depend.
     feature: [f32; 2],
-    /// Each region that has triangles with its signature, in ascending order. Equal signatures mean equal meshes; the probability that those
-    /// of different meshes are equal is 10⁻¹⁹.
-    signatures: Vec<(RegionKey, u64)>,
+    regions: MeshRegions,
+    /// Of each active region. Equal signatures mean equal meshes; the probability that those of different meshes are equal is 10⁻¹⁹.
+    signatures: Vec<u64>,
+}
+
+/// Triangles and regions with triangles in each cube of some size.
+struct Cubes {
+    size: usize,
+    /// Cubes along x and y.
+    counts: [usize; 2],
+    triangles: Vec<u32>,
+    regions: Vec<u32>,
+    /// Number of the cube's region in the mesh, once it has one.
+    numbers: Vec<u32>,
+}
+
+impl Cubes {
+    fn new(size: usize, grid: [u32; 3]) -> Self {
+        let [x, y, z] = grid.map(|regions| (regions as usize >> size) + 1);
+        let zeros = vec![0; x * y * z];
+        Self {
+            size,
+            counts: [x, y],
+            triangles: zeros.clone(),
+            regions: zeros.clone(),
+            numbers: vec![NONE; zeros.len()],
+        }
+    }
+
+    fn index(&self, coords: [u32; 3]) -> usize {
+        let [x, y, z] = coords.map(|c| c as usize >> self.size);
+        x + self.counts[0] * (y + self.counts[1] * z)
+    }
+
+    fn add(&mut self, coords: [u32; 3], triangles: u32) {
+        let cube = self.index(coords);
+        self.triangles[cube] += triangles;
+        self.regions[cube] += 1;
+    }
+
+    /// Whether the regions in a cube are joined.
+    fn is_joined(&self, cube: usize) -> bool {
+        let (triangles, regions) = (self.triangles[cube], self.regions[cube]);
+        regions > 1 && triangles <= MAX_JOINED_TRIANGLES && triangles < SPARSE_TRIANGLES * regions
+    }
 }
 
 impl MeshRegions {
@@ -48,20 +90,53 @@ impl MeshRegions {
         }
     }
 
-    /// Returns the regions that have triangles, joined where they are sparse. `coords`, `meshes`: of each active region.
-    pub fn joined(coords: impl Iterator<Item = [u32; 3]>, meshes: &[RegionMesh]) -> Self {
-        let counts: Vec<u32> = meshes.iter().map(|mesh| triangles(mesh) as u32).collect();
-        let filled = (0u32..).zip(coords).filter(|(number, _)| counts[*number as usize] > 0);
-        let mut order: Vec<(u64, u32, [u32; 3])> = filled
-            .map(|(number, coords)| (morton(coords), number, coords))
+    /// Returns the regions that have triangles, joined where they are sparse. `grid`: regions of the volume along each axis; `coords`,
+    /// `meshes`: of each active region.
+    pub fn joined(grid: [u32; 3], coords: impl Iterator<Item = [u32; 3]>, meshes: &[RegionMesh]) -> Self {
+        let counted = (0u32..).zip(coords).zip(meshes);
+        let filled: Vec<(u32, [u32; 3])> = counted
+            .filter(|(_, mesh)| triangles(mesh) > 0)
+            .map(|(region, _)| region)
             .collect();
-        order.sort_unstable();
-        let mut groups = Vec::new();
-        join(&order, MAX_SIZE, &counts, &mut groups);
-        groups.sort_unstable_by_key(|(_, members)| members.first().copied());
-        let mut joined = Self::default();
-        for (key, members) in groups {
-            joined.push(key, &members);
+        let mut sizes = JOINED_SIZES.map(|size| Cubes::new(size, grid));
+        for &(number, coords) in &filled {
+            let count = triangles(&meshes[number as usize]) as u32;
+            sizes.iter_mut().for_each(|cubes| cubes.add(coords, count));
+        }
+        let mut joined = Self {
+            members: vec![0; filled.len()],
+            ..Self::default()
+        };
+        // Of each region the place of its next member.
+        let mut next = Vec::new();
+        let mut end = 0;
+        for (number, coords) in filled {
+            let cube_of = |cubes: &mut Cubes| {
+                let cube = cubes.index(coords);
+                cubes.is_joined(cube).then_some(cube)
+            };
+            let cube = sizes.iter_mut().find_map(|cubes| Some((cube_of(cubes)?, cubes)));
+            let known = cube.as_ref().map_or(NONE, |(cube, cubes)| cubes.numbers[*cube]);
+            let region = if known == NONE {
+                joined.keys.len()
+            } else {
+                known as usize
+            };
+            if known == NONE {
+                let (size, count) = cube.map_or((0, 1), |(cube, cubes)| {
+                    cubes.numbers[cube] = region as u32;
+                    (cubes.size, cubes.regions[cube])
+                });
+                joined.keys.push(RegionKey {
+                    coords: coords.map(|c| c >> size << size),
+                    size: size as u8,
+                });
+                next.push(end as usize);
+                end += count;
+                joined.ends.push(end);
+            }
+            joined.members[next[region]] = number;
+            next[region] += 1;
         }
         joined
     }
@@ -74,9 +149,16 @@ impl MeshRegions {
 
     /// Each region with its members.
     pub fn iter(&self) -> impl Iterator<Item = (RegionKey, &[u32])> {
-        let begins = std::iter::once(0).chain(self.ends.iter().copied());
-        let ranges = begins.zip(&self.ends).map(|(begin, &end)| begin as usize..end as usize);
-        self.keys.iter().copied().zip(ranges.map(|range| &self.members[range]))
+        (0..self.keys.len()).map(|region| self.get(region))
+    }
+
+    /// A region with its members.
+    pub fn get(&self, region: usize) -> (RegionKey, &[u32]) {
+        let begin = region.checked_sub(1).map_or(0, |before| self.ends[before]);
+        (
+            self.keys[region],
+            &self.members[begin as usize..self.ends[region] as usize],
+        )
     }
 
     /// Marks all members of regions of which one member is marked.
@@ -89,21 +171,30 @@ impl MeshRegions {
     }
 
     /// Returns the regions that are made again after `before`, and the keys of all regions in which the surface may differ, of both.
-    /// `remade`: active regions whose mesh may differ.
-    pub fn since(&self, before: &Self, remade: &[bool]) -> (Self, Vec<RegionKey>) {
-        let shown: FxHashMap<RegionKey, &[u32]> = before.iter().collect();
-        let is_kept = |key: RegionKey, members: &[u32]| {
-            shown.get(&key) == Some(&members) && !members.iter().any(|&member| remade[member as usize])
-        };
-        let (mut made, mut kept) = (Self::default(), FxHashSet::default());
+    /// `differs`: whether the mesh of each active region may.
+    pub fn since(&self, before: &Self, differs: &[bool]) -> (Self, Vec<RegionKey>) {
+        // The region of each active region.
+        let mut shown = vec![NONE; differs.len()];
+        for (number, (_, members)) in (0u32..).zip(before.iter()) {
+            members.iter().for_each(|&member| shown[member as usize] = number);
+        }
+        let mut is_kept = vec![false; before.keys.len()];
+        let mut made = Self::default();
         for (key, members) in self.iter() {
-            if is_kept(key, members) {
-                kept.insert(key);
+            let earlier = shown[members[0] as usize] as usize;
+            let is_same = earlier != NONE as usize && before.get(earlier) == (key, members);
+            if is_same && !members.iter().any(|&member| differs[member as usize]) {
+                is_kept[earlier] = true;
             } else {
                 made.push(key, members);
             }
         }
-        let gone = before.keys.iter().filter(|key| !kept.contains(key));
+        let gone = before
+            .keys
+            .iter()
+            .zip(is_kept)
+            .filter(|(_, is_kept)| !is_kept)
+            .map(|(key, _)| key);
         let mut different: Vec<RegionKey> = gone.chain(&made.keys).copied().collect();
         different.sort_unstable();
         different.dedup();
@@ -113,41 +204,6 @@ impl MeshRegions {
     /// All members, region by region.
     pub fn members(&self) -> &[u32] {
         &self.members
-    }
-
-    /// Returns the signatures of a surface. `of_members`: two words for each active region.
-    pub fn signatures(&self, of_members: &[u32], tree: u64, feature: [f32; 2]) -> TreeRegions {
-        let word = |member: u32| {
-            let [low, high] = [0, 1].map(|i| u64::from(of_members[2 * member as usize + i]));
-            low | high << 32
-        };
-        let signature = |members: &[u32]| {
-            let step =
-                |all: u64, &member: &u32| (all.rotate_left(23) ^ word(member)).wrapping_mul(0x9e37_79b9_7f4a_7c15);
-            members.iter().fold(0, step)
-        };
-        let mut signatures: Vec<_> = self.iter().map(|(key, members)| (key, signature(members))).collect();
-        signatures.sort_unstable();
-        TreeRegions {
-            tree,
-            feature,
-            signatures,
-        }
-    }
-
-    /// Returns the regions that are not the same in `shown`. `now`: signatures of these regions.
-    pub fn without_those_of(&self, shown: &TreeRegions, now: &TreeRegions) -> Self {
-        let mut changed = Self::default();
-        for (key, members) in self.iter() {
-            let signature = now
-                .signatures
-                .binary_search_by_key(&key, |(key, _)| *key)
-                .map(|at| now.signatures[at]);
-            if signature.is_ok_and(|signature| !shown.contains(&signature)) {
-                changed.push(key, members);
-            }
-        }
-        changed
     }
 
     /// Returns the meshes of these regions, counted but without vertices. `of_members`: of each active region.
@@ -180,7 +236,7 @@ impl MeshRegions {
         starts
     }
 
-    /// Returns the first member of each region, and the number of the region of 32³ cells at its low corner. `regions`: those of the grid
+    /// Returns the first member of each region, and the number of the region of 32³ cells at its low corner. `grid`: regions of the volume
     /// along each axis.
     pub fn places(&self, [rx, ry, _]: [u32; 3]) -> Vec<[u32; 2]> {
         let place = |(key, members): (RegionKey, &[u32])| {
@@ -192,37 +248,47 @@ impl MeshRegions {
 }
 
 impl TreeRegions {
-    /// Whether the signatures of two surfaces can be compared.
-    pub(super) fn is_like(&self, other: &Self) -> bool {
-        self.tree == other.tree && self.feature == other.feature
+    /// `words`: of each active region, two words of its signature.
+    pub(super) fn new(tree: u64, feature: [f32; 2], regions: MeshRegions, words: &[u32]) -> Self {
+        let words = words.as_chunks::<2>().0.iter();
+        Self {
+            tree,
+            feature,
+            regions,
+            signatures: words
+                .map(|&[low, high]| u64::from(low) | u64::from(high) << 32)
+                .collect(),
+        }
     }
 
-    fn contains(&self, entry: &(RegionKey, u64)) -> bool {
-        self.signatures.binary_search(entry).is_ok()
+    pub(super) fn regions(&self) -> &MeshRegions {
+        &self.regions
     }
 
-    /// Returns the regions in which the surfaces differ, of both.
-    pub(super) fn differences(&self, other: &Self) -> Vec<RegionKey> {
-        let only = |of: &Self, other: &Self| -> Vec<RegionKey> {
-            let missing = of.signatures.iter().filter(|entry| !other.contains(entry));
-            missing.map(|(key, _)| *key).collect()
-        };
-        let mut different = only(self, other);
-        different.extend(only(other, self));
-        different.sort_unstable();
-        different.dedup();
-        different
+    /// As [`MeshRegions::since`]; `None` if the cuts are not of one tree, or have not the same feature.
+    pub(super) fn since(&self, before: &Self) -> Option<(MeshRegions, Vec<RegionKey>)> {
+        if (self.tree, self.feature) != (before.tree, before.feature) {
+            return None;
+        }
+        let pairs = self.signatures.iter().zip(&before.signatures);
+        let differs: Vec<bool> = pairs.map(|(now, before)| now != before).collect();
+        Some(self.regions.since(&before.regions, &differs))
     }
 
     /// Bytes on the host.
     pub fn bytes(&self) -> u64 {
-        (size_of::<Self>() + self.signatures.len() * size_of::<(RegionKey, u64)>()) as u64
+        let MeshRegions { keys, members, ends } = &self.regions;
+        (size_of::<Self>()
+            + size_of_val(&keys[..])
+            + size_of_val(&members[..])
+            + size_of_val(&ends[..])
+            + size_of_val(&self.signatures[..])) as u64
     }
 }
 
 /// Joins the meshes of the members of a region. Vertices of several members that are equal become one. Equal vertices of one member stay
 /// apart, because they are of different sheets.
-pub(super) fn join_meshes(key: RegionKey, members: &[Region]) -> Region {
+pub(super) fn join_meshes(key: RegionKey, members: &[&Region]) -> Region {
     let vertex_count = members.iter().map(|member| member.vertices.len()).sum();
     let (mut vertices, mut level_indices) = (Vec::with_capacity(vertex_count), [const { Vec::new() }; 6]);
     let mut known: FxHashMap<Vertex, (u32, usize)> = FxHashMap::default();
@@ -259,25 +325,6 @@ pub(super) fn join_meshes(key: RegionKey, members: &[Region]) -> Region {
     }
 }
 
-/// Joins sparse regions within each cube of this size, and otherwise within smaller ones. `order`: regions with triangles, in Morton order.
-fn join(order: &[(u64, u32, [u32; 3])], size: u8, counts: &[u32], groups: &mut Vec<(RegionKey, Vec<u32>)>) {
-    for cube in order.chunk_by(|a, b| a.0 >> (3 * size) == b.0 >> (3 * size)) {
-        if let [(_, number, coords)] = *cube {
-            groups.push((RegionKey::smallest(coords), vec![number]));
-            continue;
-        }
-        let triangles: u32 = cube.iter().map(|(_, number, _)| counts[*number as usize]).sum();
-        if triangles > MAX_JOINED_TRIANGLES || triangles >= SPARSE_TRIANGLES * cube.len() as u32 {
-            join(cube, size - 1, counts, groups);
-            continue;
-        }
-        let coords = cube[0].2.map(|c| c >> size << size);
-        let mut members: Vec<u32> = cube.iter().map(|(_, number, _)| *number).collect();
-        members.sort_unstable();
-        groups.push((RegionKey { coords, size }, members));
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::{MAX_JOINED_TRIANGLES, MeshRegions, TreeRegions, join_meshes};
@@ -289,10 +336,14 @@ mod tests {
         RegionKey { coords, size }
     }
 
+    const GRID: [u32; 3] = [12, 8, 9];
+
     /// The joined regions of these counts, x fastest, as numbers of active regions.
     fn joined(regions: &[([u32; 3], u32)]) -> BTreeMap<RegionKey, Vec<u32>> {
         let meshes: Vec<RegionMesh> = regions.iter().map(|(_, count)| mesh(*count)).collect();
-        let of = MeshRegions::joined(regions.iter().map(|(coords, _)| *coords), &meshes);
+        let of = MeshRegions::joined(GRID, regions.iter().map(|(coords, _)| *coords), &meshes);
+        let firsts: Vec<u32> = of.iter().map(|(_, members)| members[0]).collect();
+        assert!(firsts.is_sorted(), "in the order of their first members: {firsts:?}");
         of.iter().map(|(key, members)| (key, members.to_vec())).collect()
     }
 
@@ -314,7 +365,7 @@ mod tests {
             (key([4, 4, 0], 2), vec![4, 5, 6, 7]),
         ];
         assert_eq!(all, BTreeMap::from(expected));
-        let uneven = joined(&row([900, 200, 5, 0, 0, 0, 7, 0]));
+        let uneven = joined(&row([1900, 200, 5, 0, 0, 0, 7, 0]));
         let expected = [
             (key([0, 5, 2], 0), vec![0]),
             (key([1, 5, 2], 0), vec![1]),
@@ -322,7 +373,7 @@ mod tests {
             (key([6, 5, 2], 0), vec![6]),
         ];
         assert_eq!(uneven, BTreeMap::from(expected));
-        let halves = joined(&row([300, 300, 50, 60, 0, 0, 0, 0]));
+        let halves = joined(&row([1300, 700, 50, 60, 0, 0, 0, 0]));
         let expected = [
             (key([0, 5, 2], 0), vec![0]),
             (key([1, 5, 2], 0), vec![1]),
@@ -344,7 +395,7 @@ mod tests {
                 for x in 0..11 {
                     if random(3) > 0 {
                         let dense = random(20) == 0;
-                        regions.push(([x, y, z], if dense { random(3000) } else { random(150) }));
+                        regions.push(([x, y, z], if dense { random(5000) } else { random(150) }));
                     }
                 }
             }
@@ -373,32 +424,35 @@ mod tests {
     }
 
     #[test]
-    fn differences_name_regions_of_both_surfaces() {
+    fn cuts_of_a_tree_differ_where_a_signature_does() {
         let coords = [[0, 0, 0], [1, 0, 0], [4, 0, 0]];
-        let of = |counts: [u32; 3], words: [u32; 6]| -> (MeshRegions, TreeRegions) {
-            let regions = MeshRegions::joined(coords.into_iter(), &counts.map(mesh));
-            let signatures = regions.signatures(&words, 7, [0.0, 1.0]);
-            (regions, signatures)
+        let of = |tree, feature, counts: [u32; 3], words: [u32; 6]| {
+            let regions = MeshRegions::joined(GRID, coords.into_iter(), &counts.map(mesh));
+            TreeRegions::new(tree, [0.0, feature], regions, &words)
         };
-        let (_, before) = of([10, 20, 30], [1, 2, 3, 4, 5, 6]);
-        let (same, again) = of([10, 20, 30], [1, 2, 3, 4, 5, 6]);
-        assert!(same.without_those_of(&before, &again).keys.is_empty() && before.differences(&again).is_empty());
-        let (changed, after) = of([10, 20, 30], [1, 2, 3, 5, 5, 6]);
-        assert_eq!(changed.without_those_of(&before, &after).keys, [key([0, 0, 0], 2)]);
-        let (split, after) = of([10, 1000, 30], [1, 2, 3, 5, 5, 6]);
+        let (counts, words) = ([10, 20, 30], [1, 2, 3, 4, 5, 6]);
+        let before = of(7, 1.0, counts, words);
+        let since = |after: &TreeRegions| after.since(&before).map(|(made, different)| (made.keys, different));
+        assert_eq!(since(&before), Some((vec![], vec![])));
+        assert_eq!(since(&of(8, 1.0, counts, words)), None, "another tree");
+        assert_eq!(since(&of(7, 2.0, counts, words)), None, "another feature");
+        let left = vec![key([0, 0, 0], 2)];
         assert_eq!(
-            split.without_those_of(&before, &after).keys,
-            [key([0, 0, 0], 0), key([1, 0, 0], 0)]
+            since(&of(7, 1.0, counts, [1, 2, 3, 5, 5, 6])),
+            Some((left.clone(), left))
         );
-        let keys = [key([0, 0, 0], 0), key([0, 0, 0], 2), key([1, 0, 0], 0)];
-        assert_eq!(before.differences(&after), keys);
-        assert_eq!(after.differences(&before), keys);
+        let apart = [key([0, 0, 0], 0), key([1, 0, 0], 0)];
+        let split = since(&of(7, 1.0, [10, 3000, 30], [1, 2, 3, 5, 5, 6]));
+        assert_eq!(
+            split,
+            Some((apart.to_vec(), vec![apart[0], key([0, 0, 0], 2), apart[1]]))
+        );
     }
 
     #[test]
     fn regions_are_made_again_as_a_whole() {
         let coords = [[0, 0, 0], [1, 0, 0], [4, 0, 0], [5, 0, 0]];
-        let of = |counts: [u32; 4]| MeshRegions::joined(coords.into_iter(), &counts.map(mesh));
+        let of = |counts: [u32; 4]| MeshRegions::joined(GRID, coords.into_iter(), &counts.map(mesh));
         let (left, right) = (key([0, 0, 0], 2), key([4, 0, 0], 2));
         let before = of([10, 20, 30, 40]);
         let mut marks = [false, true, false, false];
@@ -412,7 +466,7 @@ mod tests {
             (made.keys, different),
             (vec![key([0, 0, 0], 0)], vec![key([0, 0, 0], 0), left])
         );
-        let (made, different) = of([10, 20, 900, 40]).since(&before, &[false, false, true, false]);
+        let (made, different) = of([10, 20, 1990, 40]).since(&before, &[false, false, true, false]);
         let apart = [key([4, 0, 0], 0), key([5, 0, 0], 0)];
         assert_eq!(
             (made.keys, different),
@@ -453,7 +507,7 @@ mod tests {
                 [0, 1, 1, 0, 0, 0],
             ),
         ];
-        let joined = join_meshes(key([2, 0, 0], 1), &members);
+        let joined = join_meshes(key([2, 0, 0], 1), &[&members[0], &members[1]]);
         let expected = [
             vertex(5, 0),
             vertex(cells, 1),
@@ -472,7 +526,7 @@ mod tests {
     #[test]
     fn triangles_of_a_joined_region_are_in_order_of_their_levels() {
         let members = [mesh(4), mesh(6), mesh(2)];
-        let regions = MeshRegions::joined([[0, 0, 0], [1, 0, 0], [9, 0, 0]].into_iter(), &members);
+        let regions = MeshRegions::joined(GRID, [[0, 0, 0], [1, 0, 0], [9, 0, 0]].into_iter(), &members);
         let mut meshes = regions.meshes(&members);
         assert_eq!(meshes.iter().map(|mesh| mesh.triangles[0]).collect::<Vec<_>>(), [5, 1]);
         meshes[1].triangle_base = 10;

@@ -87,7 +87,7 @@ impl Engine {
                 let mesh = self.mesh(volume, pyramid, params, cut, cancel)?;
                 let meshes = mesh.regions.clone();
                 let made = match is_joined {
-                    true => MeshRegions::joined(pyramid.region_coords(), &meshes),
+                    true => joined(pyramid, &meshes),
                     false => MeshRegions::all(pyramid),
                 };
                 MadeMesh {
@@ -201,7 +201,7 @@ impl Engine {
         (differs, shown): (&[bool], Vec<RegionMesh>),
         cancel: &dyn Cancel,
     ) -> Result<MadeMesh> {
-        let before = MeshRegions::joined(pyramid.region_coords(), &shown);
+        let before = joined(pyramid, &shown);
         let mut remake = differs.to_vec();
         before.complete(&mut remake);
         let count = |remake: &[bool]| dual::count(&self.cx, volume, pyramid, &cut.state, &work(pyramid, remake));
@@ -210,7 +210,7 @@ impl Engine {
         for (i, _) in remake.iter().enumerate().filter(|(_, remake)| **remake) {
             meshes[i] = counted.1[i];
         }
-        let (made, different) = MeshRegions::joined(pyramid.region_coords(), &meshes).since(&before, differs);
+        let (made, different) = joined(pyramid, &meshes).since(&before, differs);
         // Regions that are joined now and were not before need all of their members.
         if made.members().iter().any(|&member| !remake[member as usize]) {
             made.members().iter().for_each(|&member| remake[member as usize] = true);
@@ -329,24 +329,29 @@ impl Engine {
     /// Returns the regions of a mesh, joined. `mesh`: of the active regions.
     fn read_back_joined(&self, pyramid: &Pyramid, mesh: Mesh, joined: &MeshRegions) -> Result<Vec<Region>> {
         let mut numbers: Vec<usize> = joined.members().iter().map(|&member| member as usize).collect();
-        numbers.sort_unstable();
         numbers.retain(|&number| triangles(&mesh.regions[number]) > 0);
-        let mut regions: Vec<Option<Region>> = vec![None; pyramid.host_regions.len()];
-        for (region, &number) in self.read_regions(&numbers, mesh)?.into_iter().zip(&numbers) {
-            regions[number] = Some(region);
+        numbers.sort_unstable();
+        let regions = self.read_regions(&numbers, mesh)?;
+        if joined.keys.len() == joined.members().len() {
+            return Ok(regions);
         }
-        let mut take = |members: &[u32]| -> Vec<Region> {
-            members
+        let mut places = vec![0; pyramid.host_regions.len()];
+        numbers
+            .iter()
+            .enumerate()
+            .for_each(|(place, &number)| places[number] = place);
+        let made = |region: usize| {
+            let (key, members) = joined.get(region);
+            let members: Vec<&Region> = members
                 .iter()
-                .filter_map(|&member| regions[member as usize].take())
-                .collect()
+                .map(|&member| &regions[places[member as usize]])
+                .collect();
+            match members[..] {
+                [alone] => alone.clone(),
+                _ => join_meshes(key, &members),
+            }
         };
-        let groups: Vec<(RegionKey, Vec<Region>)> = joined.iter().map(|(key, members)| (key, take(members))).collect();
-        let join = |(key, mut members): (RegionKey, Vec<Region>)| match members.len() {
-            0 | 1 => members.pop(),
-            _ => Some(join_meshes(key, &members)),
-        };
-        Ok(groups.into_par_iter().filter_map(join).collect())
+        Ok((0..joined.keys.len()).into_par_iter().map(made).collect())
     }
 
     /// Returns these regions of a mesh, by their numbers in it, in ascending order.
@@ -410,6 +415,11 @@ impl Engine {
         }
         Ok((self.cx.upload(stage, meshes)?, vertices as usize, triangles as usize))
     }
+}
+
+/// Returns the regions in which a mesh of the active regions is made.
+pub(super) fn joined(pyramid: &Pyramid, meshes: &[RegionMesh]) -> MeshRegions {
+    MeshRegions::joined(pyramid.grid.regions(), pyramid.region_coords(), meshes)
 }
 
 /// Triangles of a region's mesh.

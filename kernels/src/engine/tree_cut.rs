@@ -2,7 +2,7 @@
 
 use super::fit::ERROR_KEYS;
 use super::mesh_regions::{MeshRegions, TreeRegions};
-use super::peel::{Mesh, triangles};
+use super::peel::{Mesh, joined, triangles};
 use super::tree_part::left_out;
 use crate::buffer::Buffer;
 use crate::cancel::check_cancelled;
@@ -146,13 +146,12 @@ impl Engine {
         let (mut made, mut now, mut remade) = (MeshRegions::all(pyramid), None, None);
         // The error is measured by active regions.
         if !params.state_error {
-            made = MeshRegions::joined(pyramid.region_coords(), &meshes);
             let words = cutter.sign(work, &offset_sums)?;
-            let signed = made.signatures(&words, tree.id, params.feature_range);
-            if let Some(shown) = shown.filter(|shown| shown.is_like(&signed)) {
-                made = made.without_those_of(shown, &signed);
-                remade = Some(signed.differences(shown));
-            }
+            let signed = TreeRegions::new(tree.id, params.feature_range, joined(pyramid, &meshes), &words);
+            (made, remade) = match shown.and_then(|shown| signed.since(shown)) {
+                Some((made, different)) => (made, Some(different)),
+                None => (signed.regions().clone(), None),
+            };
             now = Some(signed);
         }
         let TreeMesh { mesh, .. } = self.mesh_tree_cut(cutter, params, work, &meshes, &made, offset_sums, cancel)?;

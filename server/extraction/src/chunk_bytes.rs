@@ -8,12 +8,42 @@ pub(crate) const BYTES_OF_100_TRIANGLES: u64 = 450;
 /// As [`BYTES_OF_100_TRIANGLES`], for coarse meshes. They take more bytes, because their vertices differ by more.
 pub(crate) const BYTES_OF_100_COARSE_TRIANGLES: u64 = 800;
 
-/// Returns the bytes of the headers of `chunks` chunks.
-pub(crate) fn of_headers(chunks: u64) -> u64 {
-    chunks * CHUNK_BYTES
-}
+/// If there are fewer triangles than this in each region on average, regions are joined.
+const SPARSE_TRIANGLES: u64 = 100;
+/// Number of sparse regions that one chunk has, about.
+const JOINED_REGIONS: u64 = 8;
 
 /// Returns the bytes of `triangles` triangles in `regions` regions, with headers.
 pub(crate) fn of_triangles(triangles: u64, regions: u64, bytes_of_100_triangles: u64) -> u64 {
-    of_headers(triangles.min(regions)) + triangles.saturating_mul(bytes_of_100_triangles) / 100
+    let chunks = match triangles < regions.saturating_mul(SPARSE_TRIANGLES) {
+        true => regions.div_ceil(JOINED_REGIONS),
+        false => regions,
+    };
+    triangles.min(chunks) * CHUNK_BYTES + triangles.saturating_mul(bytes_of_100_triangles) / 100
+}
+
+/// Returns the number of triangles in `regions` regions that take this many bytes, with headers.
+pub(crate) fn triangles_of(bytes: u64, regions: u64, bytes_of_100_triangles: u64) -> u64 {
+    let beside = |chunks: u64| bytes.saturating_sub(chunks * CHUNK_BYTES) * 100 / bytes_of_100_triangles;
+    let (sparse, limit) = (
+        beside(regions.div_ceil(JOINED_REGIONS)),
+        regions.saturating_mul(SPARSE_TRIANGLES),
+    );
+    beside(regions).max(sparse.min(limit))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{of_triangles, triangles_of};
+
+    #[test]
+    fn bytes_and_triangles_fit_each_other() {
+        for regions in [1, 250, 20_000] {
+            for triangles in [1000, 50_000, 4_000_000] {
+                let found = triangles_of(of_triangles(triangles, regions, 800), regions, 800);
+                let is_near = found.abs_diff(triangles) * 100 <= 6 * triangles;
+                assert!(is_near, "{found} of {triangles} in {regions} regions");
+            }
+        }
+    }
 }

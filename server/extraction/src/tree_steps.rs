@@ -56,8 +56,7 @@ pub(crate) fn next_coarser_cut(step: Step, regions: u64, expected: u64) -> Optio
         made if is_long && largest >= coarse_bytes(made) * MIN_GROWTH => (coarse_bytes(made) * GROWTH).min(largest),
         _ => return None,
     };
-    let headers = chunk_bytes::of_headers(regions);
-    let triangles_of = |bytes: u64| bytes.saturating_sub(headers) * 100 / BYTES_OF_100_COARSE_TRIANGLES;
+    let triangles_of = |bytes: u64| chunk_bytes::triangles_of(bytes, regions, BYTES_OF_100_COARSE_TRIANGLES);
     let (triangles, max_triangles) = (triangles_of(bytes), triangles_of(final_bytes / MAX_DIVISOR));
     (triangles >= MIN_TRIANGLES).then_some(CoarserCut {
         triangles,

@@ -1,10 +1,10 @@
 //! Coarser cuts of the vertex tree that come before the final one on a slow line.
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 
 use isopeel::service::DeviceWorker;
 use isopeel_extraction::{Refinement, Shown, Step};
-use isopeel_kernels::{Surface, Vertex};
+use isopeel_kernels::{Region, RegionKey, Surface, Vertex};
 use isopeel_view::View;
 use isopeel_volumes::VolumeStep;
 use tokio_util::sync::CancellationToken;
@@ -18,10 +18,21 @@ const SLOW_BYTES: u64 = 4_000;
 /// A surface of few folds, whose topology a thousand triangles have.
 const RADIANS: f32 = 0.1;
 
+/// The regions of a surface.
+type Held = BTreeMap<RegionKey, Region>;
+
 struct Viewer {
     worker: DeviceWorker,
     volume: VolumeStep,
     step: Step,
+    /// The regions that the viewer shows.
+    held: Held,
+}
+
+/// A step, and the surface after it.
+struct Shows {
+    made: Refinement,
+    surface: Held,
 }
 
 impl Viewer {
@@ -36,11 +47,28 @@ impl Viewer {
             line_bytes: bytes,
             ..WHOLE
         };
-        Self { worker, volume, step }
+        let mut viewer = Self {
+            worker,
+            volume,
+            step,
+            held: Held::new(),
+        };
+        viewer.show(&improved.surface);
+        viewer
+    }
+
+    /// Replaces the regions that a step has made.
+    fn show(&mut self, made: &Surface) {
+        match &made.remade {
+            Some(remade) => self.held.retain(|key, _| !remade.contains(key)),
+            None => self.held.clear(),
+        }
+        let regions = made.regions.iter().map(|region| (region.key(), region.clone()));
+        self.held.extend(regions);
     }
 
     /// All steps to a view, the final one last.
-    async fn steps(&mut self, view: &View) -> Vec<Refinement> {
+    async fn steps(&mut self, view: &View) -> Vec<Shows> {
         let (token, mut steps) = (CancellationToken::new(), Vec::new());
         self.step.made_triangles = 0;
         loop {
@@ -49,7 +77,9 @@ impl Viewer {
             self.step.shown = Shown::Cut(made.cut);
             self.step.made_triangles = made.surface.statistics.triangles;
             let is_final = made.is_final;
-            steps.push(made);
+            self.show(&made.surface);
+            let surface = self.held.clone();
+            steps.push(Shows { made, surface });
             if is_final {
                 return steps;
             }
@@ -59,14 +89,12 @@ impl Viewer {
 }
 
 /// Counts the edges of only one triangle, except those on the faces of the volume.
-fn open_edges(surface: &Surface) -> usize {
-    const LAST: i32 = (Folds::SIDE as i32 - 2) * Vertex::LATTICE;
-    let mut edges: HashMap<[[i32; 3]; 2], usize> = HashMap::new();
-    for region in &surface.regions {
-        let place = |index: u32| {
-            let position = region.vertices[index as usize].position;
-            std::array::from_fn(|axis| position[axis] + region.coords[axis] as i32 * 32 * Vertex::LATTICE)
-        };
+fn open_edges(surface: &Held) -> usize {
+    const LATTICE: i64 = Vertex::LATTICE as i64;
+    const LAST: i64 = (Folds::SIDE as i64 - 2) * LATTICE;
+    let mut edges: HashMap<[[i64; 3]; 2], usize> = HashMap::new();
+    for region in surface.values() {
+        let place = |index: u32| region.position_of(&region.vertices[index as usize]);
         for triangle in region.indices.chunks_exact(3) {
             for (from, to) in [(0, 1), (1, 2), (2, 0)] {
                 let mut edge = [place(triangle[from]), place(triangle[to])];
@@ -75,7 +103,7 @@ fn open_edges(surface: &Surface) -> usize {
             }
         }
     }
-    let is_inside = |place: &[i32; 3]| place.iter().all(|at| (Vertex::LATTICE..LAST).contains(at));
+    let is_inside = |place: &[i64; 3]| place.iter().all(|at| (LATTICE..LAST).contains(at));
     edges
         .iter()
         .filter(|(edge, times)| **times % 2 == 1 && edge.iter().any(is_inside))
@@ -101,7 +129,7 @@ async fn a_slow_line_gets_coarser_cuts_first_and_the_same_surface_in_the_end() {
         viewer.step.line_bytes = SLOW_BYTES;
         let steps = viewer.steps(&view).await;
         assert!(steps.len() >= 2, "{} steps", steps.len());
-        let triangles = |step: &Refinement| step.surface.statistics.triangles;
+        let triangles = |step: &Shows| step.made.surface.statistics.triangles;
         for pair in steps.windows(2) {
             assert!(2 * triangles(&pair[0]) <= triangles(&pair[1]), "each is much finer");
         }
@@ -109,9 +137,13 @@ async fn a_slow_line_gets_coarser_cuts_first_and_the_same_surface_in_the_end() {
             assert_eq!(open_edges(&step.surface), 0, "of {} triangles", triangles(step));
         }
         let (one, last) = (&at_once[0], &steps[steps.len() - 1]);
-        assert!(one.surface.regions == last.surface.regions, "another final surface");
-        assert_eq!((one.view.fitted, triangles(one)), (last.view.fitted, triangles(last)));
-        assert_eq!(one.surface.statistics.estimate, last.surface.statistics.estimate);
+        assert!(one.surface == last.surface, "another final surface");
+        assert_eq!(
+            (one.made.view.fitted, triangles(one)),
+            (last.made.view.fitted, triangles(last))
+        );
+        let estimate = |step: &Shows| step.made.surface.statistics.estimate;
+        assert_eq!(estimate(one), estimate(last));
     }
 }
 
