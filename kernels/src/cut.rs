@@ -1,11 +1,12 @@
 //! A cut on the device.
 
 use crate::buffer::Buffer;
+use crate::engine::mesh_regions::MeshRegions;
 use crate::layout::{self, RegionCut, RegionMesh};
 use crate::stages::dual::Counted;
 use crate::{ErrorEstimate, Level, Mesher, Pyramid};
-use std::sync::Mutex;
 use std::sync::atomic::AtomicU64;
+use std::sync::{Arc, Mutex};
 
 /// The leaves of a pyramid (`docs/algorithm.md#4-importance-and-cut`), on the device: one byte per node. The cut keeps the sizes of its
 /// meshes, so that for another cut of the same pyramid only the differing regions are meshed.
@@ -21,10 +22,18 @@ pub struct Cut {
     pub(crate) regions: Vec<RegionCut>,
     /// Results of the counting passes, kept for meshing.
     pub(crate) counted: Mutex<Option<(Counted, Vec<RegionMesh>)>>,
-    /// Vertices and triangles of each active region, once all of them are known.
-    pub(crate) meshes: Mutex<Option<Vec<RegionMesh>>>,
+    /// Sizes of its meshes, once all of them are known.
+    pub(crate) meshes: Mutex<Option<Arc<CutMeshes>>>,
     /// Vertices of marching cubes that could not be patched.
     pub(crate) unpatched_vertices: AtomicU64,
+}
+
+/// Sizes of the meshes of a cut.
+pub(crate) struct CutMeshes {
+    /// Vertices and triangles of each active region.
+    pub counts: Vec<RegionMesh>,
+    /// The regions in which the surface was made.
+    pub regions: MeshRegions,
 }
 
 impl Cut {

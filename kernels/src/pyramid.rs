@@ -25,6 +25,8 @@ pub struct Pyramid {
     pub(crate) vertex_records: Buffer<VertexRecord>,
     /// Copy of the active regions on the host.
     pub(crate) host_regions: Vec<layout::Region>,
+    /// Their positions, in units of 32 cells.
+    pub(crate) coords: Vec<[u32; 3]>,
     pub(crate) full_triangles: u64,
     pub(crate) active_cells: u64,
     pub(crate) stages: Vec<StageTime>,
@@ -67,16 +69,13 @@ impl Pyramid {
 
     /// Position of each active region, in units of 32 cells.
     pub fn region_coords(&self) -> impl Iterator<Item = [u32; 3]> {
-        let [rx, ry, _] = self.grid.regions();
-        let of = move |linear: u32| [linear % rx, linear / rx % ry, linear / rx / ry];
-        self.host_regions.iter().map(move |region| of(region.region))
+        self.coords.iter().copied()
     }
 
     /// Indices of the active regions in Morton order: neighbours follow each other.
     pub fn regions_in_morton_order(&self) -> Vec<usize> {
-        let all: Vec<[u32; 3]> = self.region_coords().collect();
-        let mut order: Vec<usize> = (0..all.len()).collect();
-        order.sort_by_cached_key(|&index| morton(all[index]));
+        let mut order: Vec<usize> = (0..self.coords.len()).collect();
+        order.sort_by_cached_key(|&index| morton(self.coords[index]));
         order
     }
 

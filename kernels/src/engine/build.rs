@@ -119,6 +119,8 @@ impl Engine {
         let region_index = cx.upload(construct::STAGE, &host_index)?;
         let near = cx.buffer(construct::STAGE, 27 * bricks.len())?;
         construct::link(cx, volume, &region_index, &regions, &bricks, &near)?;
+        let [rx, ry, _] = volume.grid.regions();
+        let coords = |linear: u32| [linear % rx, linear / rx % ry, linear / rx / ry];
         Ok(Pyramid {
             id: PYRAMIDS.fetch_add(1, Ordering::Relaxed),
             iso,
@@ -133,6 +135,7 @@ impl Engine {
             vertex_records,
             full_triangles: totals.iter().map(|&n| u64::from(n)).sum(),
             active_cells: arranged.iter().map(|r| u64::from(r.level_base[1])).sum(),
+            coords: arranged.iter().map(|region| coords(region.region)).collect(),
             host_regions: arranged,
             stages: cx.take_times()?,
             peak_bytes: cx.pool.peak().saturating_sub(before),

@@ -3,7 +3,7 @@
 use super::peel::triangles;
 use crate::layout::{NONE, RegionMesh};
 use crate::{Pyramid, Region, RegionKey, Vertex};
-use rustc_hash::FxHashMap;
+use rustc_hash::{FxBuildHasher, FxHashMap};
 
 /// Exponents of the sizes of regions that consist of several, the largest first. The stream has 16 bits for a coordinate, and a vertex may
 /// lie far outside of its region.
@@ -13,7 +13,7 @@ const JOINED_SIZES: [usize; 2] = [2, 1];
 const MAX_JOINED_TRIANGLES: u32 = 2000;
 
 /// Regions are joined if they have fewer triangles than this, on average.
-const SPARSE_TRIANGLES: u32 = 100;
+const SPARSE_TRIANGLES: u32 = 150;
 
 /// Regions of a mesh, each with the active regions that it consists of.
 #[derive(Clone, Debug, Default)]
@@ -91,24 +91,31 @@ impl MeshRegions {
     }
 
     /// Returns the regions that have triangles, joined where they are sparse. `grid`: regions of the volume along each axis; `coords`,
-    /// `meshes`: of each active region.
-    pub fn joined(grid: [u32; 3], coords: impl Iterator<Item = [u32; 3]>, meshes: &[RegionMesh]) -> Self {
-        let counted = (0u32..).zip(coords).zip(meshes);
-        let filled: Vec<(u32, [u32; 3])> = counted
-            .filter(|(_, mesh)| triangles(mesh) > 0)
-            .map(|(region, _)| region)
-            .collect();
+    /// `meshes`: of each active region. `remade`: whether each active region is made; the others are left out, and not joined with.
+    pub fn joined(grid: [u32; 3], coords: &[[u32; 3]], meshes: &[RegionMesh], remade: Option<&[bool]>) -> Self {
         let mut sizes = JOINED_SIZES.map(|size| Cubes::new(size, grid));
-        for &(number, coords) in &filled {
-            let count = triangles(&meshes[number as usize]) as u32;
-            sizes.iter_mut().for_each(|cubes| cubes.add(coords, count));
+        let mut filled = Vec::with_capacity(coords.len());
+        for ((number, &coords), mesh) in (0u32..).zip(coords).zip(meshes) {
+            let count = triangles(mesh) as u32;
+            if count == 0 {
+                continue;
+            }
+            if remade.is_none_or(|remade| remade[number as usize]) {
+                sizes.iter_mut().for_each(|cubes| cubes.add(coords, count));
+                filled.push((number, coords));
+            } else {
+                // Too many triangles to be joined.
+                sizes
+                    .iter_mut()
+                    .for_each(|cubes| cubes.add(coords, MAX_JOINED_TRIANGLES + 1));
+            }
         }
         let mut joined = Self {
             members: vec![0; filled.len()],
             ..Self::default()
         };
         // Of each region the place of its next member.
-        let mut next = Vec::new();
+        let mut next = Vec::with_capacity(filled.len());
         let mut end = 0;
         for (number, coords) in filled {
             let cube_of = |cubes: &mut Cubes| {
@@ -161,13 +168,46 @@ impl MeshRegions {
         )
     }
 
-    /// Marks all members of regions of which one member is marked.
-    pub fn complete(&self, marks: &mut [bool]) {
-        for (_, members) in self.iter() {
-            if members.iter().any(|&member| marks[member as usize]) {
-                members.iter().for_each(|&member| marks[member as usize] = true);
+    /// Marks all members of joined regions in whose cube an active region is marked, be it a member or empty so far.
+    pub fn complete(&self, grid: [u32; 3], coords: &[[u32; 3]], marks: &mut [bool]) {
+        let mut sizes = JOINED_SIZES.map(|size| Cubes::new(size, grid));
+        for (number, key) in (0u32..).zip(&self.keys) {
+            if let Some(cubes) = sizes.iter_mut().find(|cubes| cubes.size == usize::from(key.size)) {
+                let cube = cubes.index(key.coords);
+                cubes.numbers[cube] = number;
             }
         }
+        let mut is_marked = vec![false; self.keys.len()];
+        for (&coords, _) in coords.iter().zip(&*marks).filter(|(_, mark)| **mark) {
+            for cubes in &sizes {
+                let number = cubes.numbers[cubes.index(coords)];
+                if number != NONE {
+                    is_marked[number as usize] = true;
+                }
+            }
+        }
+        for (_, members) in (self.iter().zip(is_marked))
+            .filter(|(_, is_marked)| *is_marked)
+            .map(|(region, _)| region)
+        {
+            members.iter().for_each(|&member| marks[member as usize] = true);
+        }
+    }
+
+    /// Replaces the regions whose members are made again by `made`. Returns the regions of the whole surface, and the keys of all regions
+    /// in which it may differ, of both. `remade`: whether each active region is made again: all members of a region are, or none.
+    pub fn replaced(&self, made: &Self, remade: &[bool]) -> (Self, Vec<RegionKey>) {
+        let (mut all, mut different) = (made.clone(), made.keys.clone());
+        for (key, members) in self.iter() {
+            if remade[members[0] as usize] {
+                different.push(key);
+            } else {
+                all.push(key, members);
+            }
+        }
+        different.sort_unstable();
+        different.dedup();
+        (all, different)
     }
 
     /// Returns the regions that are made again after `before`, and the keys of all regions in which the surface may differ, of both.
@@ -291,7 +331,7 @@ impl TreeRegions {
 pub(super) fn join_meshes(key: RegionKey, members: &[&Region]) -> Region {
     let vertex_count = members.iter().map(|member| member.vertices.len()).sum();
     let (mut vertices, mut level_indices) = (Vec::with_capacity(vertex_count), [const { Vec::new() }; 6]);
-    let mut known: FxHashMap<Vertex, (u32, usize)> = FxHashMap::default();
+    let mut known: FxHashMap<Vertex, (u32, usize)> = FxHashMap::with_capacity_and_hasher(vertex_count, FxBuildHasher);
     let mut numbers = Vec::new();
     for (number, member) in members.iter().enumerate() {
         let shift = [0, 1, 2].map(|axis| (member.key().origin()[axis] - key.origin()[axis]) as i32);
@@ -341,7 +381,8 @@ mod tests {
     /// The joined regions of these counts, x fastest, as numbers of active regions.
     fn joined(regions: &[([u32; 3], u32)]) -> BTreeMap<RegionKey, Vec<u32>> {
         let meshes: Vec<RegionMesh> = regions.iter().map(|(_, count)| mesh(*count)).collect();
-        let of = MeshRegions::joined(GRID, regions.iter().map(|(coords, _)| *coords), &meshes);
+        let coords: Vec<[u32; 3]> = regions.iter().map(|(coords, _)| *coords).collect();
+        let of = MeshRegions::joined(GRID, &coords, &meshes, None);
         let firsts: Vec<u32> = of.iter().map(|(_, members)| members[0]).collect();
         assert!(firsts.is_sorted(), "in the order of their first members: {firsts:?}");
         of.iter().map(|(key, members)| (key, members.to_vec())).collect()
@@ -427,7 +468,7 @@ mod tests {
     fn cuts_of_a_tree_differ_where_a_signature_does() {
         let coords = [[0, 0, 0], [1, 0, 0], [4, 0, 0]];
         let of = |tree, feature, counts: [u32; 3], words: [u32; 6]| {
-            let regions = MeshRegions::joined(GRID, coords.into_iter(), &counts.map(mesh));
+            let regions = MeshRegions::joined(GRID, &coords, &counts.map(mesh), None);
             TreeRegions::new(tree, [0.0, feature], regions, &words)
         };
         let (counts, words) = ([10, 20, 30], [1, 2, 3, 4, 5, 6]);
@@ -451,29 +492,41 @@ mod tests {
 
     #[test]
     fn regions_are_made_again_as_a_whole() {
-        let coords = [[0, 0, 0], [1, 0, 0], [4, 0, 0], [5, 0, 0]];
-        let of = |counts: [u32; 4]| MeshRegions::joined(GRID, coords.into_iter(), &counts.map(mesh));
+        let coords = [[0, 0, 0], [1, 0, 0], [2, 0, 0], [4, 0, 0], [5, 0, 0]];
         let (left, right) = (key([0, 0, 0], 2), key([4, 0, 0], 2));
-        let before = of([10, 20, 30, 40]);
-        let mut marks = [false, true, false, false];
-        before.complete(&mut marks);
-        assert_eq!(marks, [true, true, false, false]);
-        let (made, different) = of([10, 21, 30, 40]).since(&before, &[false, true, false, false]);
-        assert_eq!((made.keys, different), (vec![left], vec![left]));
-        // One member has become empty, the others stay as they are.
-        let (made, different) = of([10, 0, 30, 40]).since(&before, &[false, true, false, false]);
+        let again = |before: [u32; 5], after: [u32; 5], mut remade: [bool; 5]| {
+            let before = MeshRegions::joined(GRID, &coords, &before.map(mesh), None);
+            before.complete(GRID, &coords, &mut remade);
+            let made = MeshRegions::joined(GRID, &coords, &after.map(mesh), Some(&remade));
+            let (mut all, different) = before.replaced(&made, &remade);
+            all.keys.sort_unstable();
+            (made.keys, all.keys, different)
+        };
+        let second = [false, true, false, false, false];
+        let counts = [10, 20, 0, 30, 40];
         assert_eq!(
-            (made.keys, different),
-            (vec![key([0, 0, 0], 0)], vec![key([0, 0, 0], 0), left])
+            again(counts, [10, 21, 0, 30, 40], second),
+            (vec![left], vec![left, right], vec![left])
         );
-        let (made, different) = of([10, 20, 1990, 40]).since(&before, &[false, false, true, false]);
-        let apart = [key([4, 0, 0], 0), key([5, 0, 0], 0)];
+        // One member has become empty, the other one is alone.
+        let alone = key([0, 0, 0], 0);
+        let of_one = (vec![alone], vec![alone, right], vec![alone, left]);
+        assert_eq!(again(counts, [10, 0, 0, 30, 40], second), of_one);
+        // A region that was empty is in the cube of a joined one.
+        let third = [false, false, true, false, false];
         assert_eq!(
-            (made.keys, different),
-            (apart.to_vec(), vec![apart[0], right, apart[1]])
+            again(counts, [10, 20, 5, 30, 40], third),
+            (vec![left], vec![left, right], vec![left])
         );
-        let (made, different) = of([10, 20, 30, 40]).since(&before, &[false; 4]);
-        assert!(made.keys.is_empty() && different.is_empty());
+        // A region that is not made again is not joined.
+        let dense = [10, 5000, 0, 30, 40];
+        let apart = [key([0, 0, 0], 0), key([1, 0, 0], 0)];
+        let (made, all, different) = again(dense, counts, second);
+        assert_eq!((made, different), (vec![apart[1]], vec![apart[1]]));
+        assert_eq!(all, [apart[0], apart[1], right]);
+        let (made, _, different) = again(counts, dense, second);
+        assert_eq!((made, different), (apart.to_vec(), vec![apart[0], left, apart[1]]));
+        assert_eq!(again(counts, counts, [false; 5]), (vec![], vec![left, right], vec![]));
     }
 
     #[test]
@@ -526,7 +579,7 @@ mod tests {
     #[test]
     fn triangles_of_a_joined_region_are_in_order_of_their_levels() {
         let members = [mesh(4), mesh(6), mesh(2)];
-        let regions = MeshRegions::joined(GRID, [[0, 0, 0], [1, 0, 0], [9, 0, 0]].into_iter(), &members);
+        let regions = MeshRegions::joined(GRID, &[[0, 0, 0], [1, 0, 0], [9, 0, 0]], &members, None);
         let mut meshes = regions.meshes(&members);
         assert_eq!(meshes.iter().map(|mesh| mesh.triangles[0]).collect::<Vec<_>>(), [5, 1]);
         meshes[1].triangle_base = 10;

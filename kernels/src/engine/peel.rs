@@ -4,6 +4,7 @@ use super::cut::work;
 use super::mesh_regions::{MeshRegions, join_meshes};
 use crate::buffer::Buffer;
 use crate::cancel::check_cancelled;
+use crate::cut::CutMeshes;
 use crate::layout::{self, Counters, RegionMesh};
 use crate::lock::lock;
 use crate::stages::dual::{Counted, Work};
@@ -14,6 +15,7 @@ use crate::{
 };
 use rayon::prelude::*;
 use std::ops::Range;
+use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
 /// Stage that reads a mesh back.
@@ -33,10 +35,9 @@ pub(crate) struct Mesh {
 /// A mesh of a cut, or of the regions in which it may differ from a shown one.
 struct MadeMesh {
     mesh: Mesh,
-    /// Counts of all active regions.
-    meshes: Vec<RegionMesh>,
-    /// The regions that are made.
-    made: MeshRegions,
+    /// The regions that are made; `None`: all of the surface.
+    made: Option<MeshRegions>,
+    meshes: CutMeshes,
     /// As [`Surface::remade`].
     remade: Option<Vec<RegionKey>>,
 }
@@ -81,33 +82,32 @@ impl Engine {
         let kept = kept.and_then(|kept| Some((&*kept.differences.meshes, lock(&kept.shown.meshes).clone()?)));
         // The error is measured by active regions.
         let is_joined = params.mesher == Mesher::Dual && !params.state_error;
-        let made_mesh = match kept.filter(|_| is_joined) {
-            Some((differs, shown)) => self.mesh_again(volume, pyramid, params, cut, (differs, shown), cancel)?,
+        let MadeMesh {
+            mesh,
+            made,
+            meshes,
+            remade,
+        } = match kept.filter(|_| is_joined) {
+            Some((differs, shown)) => self.mesh_again(volume, pyramid, params, cut, (differs, &shown), cancel)?,
             None => {
                 let mesh = self.mesh(volume, pyramid, params, cut, cancel)?;
-                let meshes = mesh.regions.clone();
-                let made = match is_joined {
-                    true => joined(pyramid, &meshes),
+                let counts = mesh.regions.clone();
+                let regions = match is_joined {
+                    true => joined(pyramid, &counts, None),
                     false => MeshRegions::all(pyramid),
                 };
                 MadeMesh {
                     mesh,
-                    meshes,
-                    made,
+                    made: None,
+                    meshes: CutMeshes { counts, regions },
                     remade: None,
                 }
             }
         };
-        let MadeMesh {
-            mesh,
-            meshes,
-            made,
-            remade,
-        } = made_mesh;
         let error = mesh.errors.as_ref().map(|(_, whole)| *whole);
-        let regions = self.read_back_joined(pyramid, mesh, &made)?;
+        let regions = self.read_back_joined(pyramid, mesh, made.as_ref().unwrap_or(&meshes.regions))?;
         let stages = self.cx.take_times()?;
-        let sum = |of: fn(&RegionMesh) -> u64| meshes.iter().map(of).sum();
+        let sum = |of: fn(&RegionMesh) -> u64| meshes.counts.iter().map(of).sum();
         let (leaves, made) = (cut.leaves(), sum(|mesh| triangles(mesh) as u64));
         let statistics = SurfaceStatistics {
             full_triangles: pyramid.full_triangles,
@@ -134,7 +134,7 @@ impl Engine {
                     .max(pyramid.device_bytes() + self.cx.pool.peak().saturating_sub(before)),
             volume_bytes: volume.sample_bytes() + pyramid.feature_bytes,
         };
-        *lock(&cut.meshes) = Some(meshes);
+        *lock(&cut.meshes) = Some(Arc::new(meshes));
         Ok(Surface {
             regions,
             remade,
@@ -191,36 +191,33 @@ impl Engine {
     }
 
     /// Meshes the regions of a cut in which it may differ from a shown one. `differs`: the active regions in which it may; `shown`: the
-    /// meshes of the shown one.
+    /// meshes of the shown one. Joined regions are made again as a whole. Regions that are not made again are not joined, because their
+    /// meshes would be needed.
     fn mesh_again(
         &self,
         volume: &Volume,
         pyramid: &Pyramid,
         params: &CutParams,
         cut: &Cut,
-        (differs, shown): (&[bool], Vec<RegionMesh>),
+        (differs, shown): (&[bool], &CutMeshes),
         cancel: &dyn Cancel,
     ) -> Result<MadeMesh> {
-        let before = joined(pyramid, &shown);
-        let mut remake = differs.to_vec();
-        before.complete(&mut remake);
-        let count = |remake: &[bool]| dual::count(&self.cx, volume, pyramid, &cut.state, &work(pyramid, remake));
-        let mut counted = count(&remake)?;
-        let mut meshes = shown;
-        for (i, _) in remake.iter().enumerate().filter(|(_, remake)| **remake) {
-            meshes[i] = counted.1[i];
+        let mut remade = differs.to_vec();
+        shown
+            .regions
+            .complete(pyramid.grid.regions(), &pyramid.coords, &mut remade);
+        let counted = dual::count(&self.cx, volume, pyramid, &cut.state, &work(pyramid, &remade))?;
+        let mut counts = shown.counts.clone();
+        for (i, _) in remade.iter().enumerate().filter(|(_, remade)| **remade) {
+            counts[i] = counted.1[i];
         }
-        let (made, different) = joined(pyramid, &meshes).since(&before, differs);
-        // Regions that are joined now and were not before need all of their members.
-        if made.members().iter().any(|&member| !remake[member as usize]) {
-            made.members().iter().for_each(|&member| remake[member as usize] = true);
-            counted = count(&remake)?;
-        }
+        let made = joined(pyramid, &counts, Some(&remade));
+        let (regions, different) = shown.regions.replaced(&made, &remade);
         let mesh = self.dual(volume, pyramid, params, cut, counted, cancel)?;
         Ok(MadeMesh {
             mesh,
-            meshes,
-            made,
+            made: Some(made),
+            meshes: CutMeshes { counts, regions },
             remade: Some(different),
         })
     }
@@ -417,9 +414,9 @@ impl Engine {
     }
 }
 
-/// Returns the regions in which a mesh of the active regions is made.
-pub(super) fn joined(pyramid: &Pyramid, meshes: &[RegionMesh]) -> MeshRegions {
-    MeshRegions::joined(pyramid.grid.regions(), pyramid.region_coords(), meshes)
+/// As [`MeshRegions::joined`], of the active regions of a pyramid.
+pub(super) fn joined(pyramid: &Pyramid, meshes: &[RegionMesh], remade: Option<&[bool]>) -> MeshRegions {
+    MeshRegions::joined(pyramid.grid.regions(), &pyramid.coords, meshes, remade)
 }
 
 /// Triangles of a region's mesh.
