@@ -73,7 +73,11 @@ impl Engine {
                 missing_mask: volume.missing_masks[linear],
                 ..Default::default()
             });
-            list.extend((0..64).filter(|b| bits >> b & 1 == 1).map(|b| compact << 6 | b));
+            let mut left = bits;
+            while left != 0 {
+                list.push(compact << 6 | left.trailing_zeros());
+                left &= left - 1;
+            }
         }
 
         let mut regions = cx.upload(classify::STAGE, &host_regions)?;

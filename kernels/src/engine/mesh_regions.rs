@@ -3,7 +3,7 @@
 use super::peel::triangles;
 use crate::layout::{NONE, RegionMesh};
 use crate::{Pyramid, Region, RegionKey, Vertex};
-use rustc_hash::{FxBuildHasher, FxHashMap};
+use rustc_hash::FxHashMap;
 
 /// Exponents of the sizes of regions that consist of several, the largest first. The stream has 16 bits for a coordinate, and a vertex may
 /// lie far outside of its region.
@@ -326,13 +326,30 @@ impl TreeRegions {
     }
 }
 
+/// Working memory of [`join_meshes`].
+#[derive(Default)]
+pub(super) struct Joining {
+    /// The number of each vertex in the joined mesh, and the last member that has it.
+    known: FxHashMap<Vertex, (u32, usize)>,
+    /// The number of each vertex of a member.
+    numbers: Vec<u32>,
+}
+
 /// Joins the meshes of the members of a region. Vertices of several members that are equal become one. Equal vertices of one member stay
 /// apart, because they are of different sheets.
-pub(super) fn join_meshes(key: RegionKey, members: &[&Region]) -> Region {
-    let vertex_count = members.iter().map(|member| member.vertices.len()).sum();
-    let (mut vertices, mut level_indices) = (Vec::with_capacity(vertex_count), [const { Vec::new() }; 6]);
-    let mut known: FxHashMap<Vertex, (u32, usize)> = FxHashMap::with_capacity_and_hasher(vertex_count, FxBuildHasher);
-    let mut numbers = Vec::new();
+pub(super) fn join_meshes(joining: &mut Joining, key: RegionKey, members: &[&Region]) -> Region {
+    let Joining { known, numbers } = joining;
+    known.clear();
+    let count = |of: fn(&Region) -> usize| members.iter().map(|member| of(member)).sum::<usize>();
+    let mut vertices = Vec::with_capacity(count(|member| member.vertices.len()));
+    let mut indices = vec![0; count(|member| member.indices.len())];
+    let level_triangles =
+        [0, 1, 2, 3, 4, 5].map(|level| members.iter().map(|member| member.level_triangles[level]).sum());
+    // Where the next triangle of each level goes.
+    let mut next = [0; 6];
+    for level in 1..6 {
+        next[level] = next[level - 1] + 3 * level_triangles[level - 1] as usize;
+    }
     for (number, member) in members.iter().enumerate() {
         let shift = [0, 1, 2].map(|axis| (member.key().origin()[axis] - key.origin()[axis]) as i32);
         numbers.clear();
@@ -348,26 +365,29 @@ pub(super) fn join_meshes(key: RegionKey, members: &[&Region]) -> Region {
             }
             numbers.push(if is_joined { *index } else { new });
         }
-        let mut indices = &member.indices[..];
-        for (of_level, count) in level_indices.iter_mut().zip(member.level_triangles) {
-            let (level, coarser) = indices.split_at(3 * count as usize);
-            of_level.extend(level.iter().map(|&index| numbers[index as usize]));
-            indices = coarser;
+        let mut own = &member.indices[..];
+        for (next, count) in next.iter_mut().zip(member.level_triangles) {
+            let (level, coarser) = own.split_at(3 * count as usize);
+            for (to, &index) in indices[*next..].iter_mut().zip(level) {
+                *to = numbers[index as usize];
+            }
+            *next += level.len();
+            own = coarser;
         }
     }
     Region {
         coords: key.coords,
         size: key.size,
-        level_triangles: [0, 1, 2, 3, 4, 5].map(|level: usize| level_indices[level].len() as u32 / 3),
         vertices: vertices.into(),
-        indices: level_indices.concat().into(),
+        indices: indices.into(),
+        level_triangles,
         error: None,
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::{MAX_JOINED_TRIANGLES, MeshRegions, TreeRegions, join_meshes};
+    use super::{Joining, MAX_JOINED_TRIANGLES, MeshRegions, TreeRegions, join_meshes};
     use crate::layout::RegionMesh;
     use crate::{Region, RegionKey, Vertex};
     use std::collections::BTreeMap;
@@ -560,7 +580,7 @@ mod tests {
                 [0, 1, 1, 0, 0, 0],
             ),
         ];
-        let joined = join_meshes(key([2, 0, 0], 1), &[&members[0], &members[1]]);
+        let joined = join_meshes(&mut Joining::default(), key([2, 0, 0], 1), &[&members[0], &members[1]]);
         let expected = [
             vertex(5, 0),
             vertex(cells, 1),

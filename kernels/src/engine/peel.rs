@@ -1,7 +1,7 @@
 //! From a cut to a surface: counts, meshes, and the mesh back on the host.
 
 use super::cut::work;
-use super::mesh_regions::{MeshRegions, join_meshes};
+use super::mesh_regions::{Joining, MeshRegions, join_meshes};
 use crate::buffer::Buffer;
 use crate::cancel::check_cancelled;
 use crate::cut::CutMeshes;
@@ -337,7 +337,7 @@ impl Engine {
             .iter()
             .enumerate()
             .for_each(|(place, &number)| places[number] = place);
-        let made = |region: usize| {
+        let made = |joining: &mut Joining, region: usize| {
             let (key, members) = joined.get(region);
             let members: Vec<&Region> = members
                 .iter()
@@ -345,10 +345,11 @@ impl Engine {
                 .collect();
             match members[..] {
                 [alone] => alone.clone(),
-                _ => join_meshes(key, &members),
+                _ => join_meshes(joining, key, &members),
             }
         };
-        Ok((0..joined.keys.len()).into_par_iter().map(made).collect())
+        let regions = (0..joined.keys.len()).into_par_iter();
+        Ok(regions.map_init(Joining::default, made).collect())
     }
 
     /// Returns these regions of a mesh, by their numbers in it, in ascending order.

@@ -29,12 +29,14 @@ impl OnDevice<'_> {
             fitted: None,
             ..view.clone()
         });
-        let (mut params, mut cut, mut triangles) = self.fit(&unfitted, budget, cancel)?;
-        if triangles > budget && view.topology == TopologyName::Auto {
-            let free = CutParams {
-                topology: Topology::Free,
-                ..unfitted
-            };
+        let may_give_way = view.topology == TopologyName::Auto && unfitted.topology != Topology::Free;
+        let free = CutParams {
+            topology: Topology::Free,
+            ..unfitted.clone()
+        };
+        let is_free = may_give_way && !self.engine.may_fit(self.volume, self.pyramid, &unfitted, budget)?;
+        let (mut params, mut cut, mut triangles) = self.fit(if is_free { &free } else { &unfitted }, budget, cancel)?;
+        if triangles > budget && may_give_way && !is_free {
             (params, cut, triangles) = self.fit(&free, budget, cancel)?;
         }
         let is_empty = triangles == 0 && full_triangles > 0;

@@ -24,7 +24,7 @@ fn the_curve_has_the_leaves_of_each_cut() {
 #[test]
 fn budgets_are_kept_and_used() {
     let Some(engine) = device() else { return };
-    proptest!(config(8), |(recipe in recipes(surfaces()), share in 0.02..1.2f64, preserve in any::<bool>())| {
+    proptest!(config(24), |(recipe in recipes(surfaces()), share in 0.02..1.2f64, preserve in any::<bool>())| {
         let loaded = load(&engine, &recipe);
         let pyramid = build(&engine, &loaded, Feature::None);
         let topology = if preserve { Topology::Preserve } else { Topology::Free };
@@ -37,6 +37,8 @@ fn budgets_are_kept_and_used() {
         let (full, coarsest) = (triangles(-1.0), triangles(1.0));
         let budget = ((full as f64 * share) as u64).max(1);
         let (fitted, cut, counted) = engine.fit(&loaded.volume, &pyramid, &params, budget, &Never).expect("fit");
+        let may_fit = engine.may_fit(&loaded.volume, &pyramid, &params, budget).expect("the curve");
+        prop_assert!(may_fit || coarsest > budget, "{} triangles, expected to be refused", coarsest);
         let found = engine.count(&loaded.volume, &pyramid, &cut, &Never).expect("count").triangles;
         prop_assert_eq!(found, counted);
         prop_assert_eq!(found, triangles(fitted.beta), "the cut is that of the parameters");
