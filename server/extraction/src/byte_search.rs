@@ -1,5 +1,6 @@
 //! Finds how many triangles a budget of bytes allows, from trial surfaces that were encoded.
 
+use isopeel_kernels::Surface;
 use isopeel_view::View;
 use isopeel_view::quality::{Budget, Fitted, TriangleBudget};
 
@@ -33,8 +34,19 @@ pub struct Trial {
     pub triangles: u64,
     /// Bytes of the surface's chunks.
     pub bytes: u64,
-    /// Regions of the surface.
+    /// Regions of the surface that are not joined. Their number hardly changes with the triangles; that of joined ones does in proportion.
     pub regions: u64,
+}
+
+impl Trial {
+    /// `bytes`: of the chunks of a surface.
+    pub fn new(surface: &Surface, bytes: u64) -> Self {
+        Self {
+            triangles: surface.statistics.triangles,
+            bytes,
+            regions: surface.regions.iter().filter(|region| region.size == 0).count() as u64,
+        }
+    }
 }
 
 /// A search for the surface that fills a budget of bytes. The owner of the search makes and encodes the trial surfaces.
@@ -159,7 +171,7 @@ fn best(budget: u64, trials: &[Trial]) -> Option<usize> {
 }
 
 /// Estimates the triangles that fill the budget. Assumes that a triangle takes as many bytes as in the trial, and that the number of
-/// regions stays the same.
+/// regions that are not joined stays the same.
 fn estimate(budget: u64, trial: &Trial) -> u64 {
     let budget = budget as f64;
     let region_bytes = BYTES_OF_REGION * trial.regions as f64;

@@ -11,7 +11,7 @@ pub(crate) const BYTES_OF_100_COARSE_TRIANGLES: u64 = 800;
 /// If there are fewer triangles than this in each region on average, regions are joined.
 const SPARSE_TRIANGLES: u64 = 150;
 /// Number of sparse regions that one chunk has, about.
-const JOINED_REGIONS: u64 = 8;
+const JOINED_REGIONS: u64 = 4;
 
 /// Returns the bytes of `triangles` triangles in `regions` regions, with headers.
 pub(crate) fn of_triangles(triangles: u64, regions: u64, bytes_of_100_triangles: u64) -> u64 {

@@ -139,12 +139,8 @@ impl Workspace {
             // Encoding is not cancelled, because it takes less time than making the surface.
             let bytes = encoded_bytes(&extraction.surface, &|| false)
                 .inspect_err(|error| tracing::error!(%error, "a surface could not be encoded"));
-            let trial = Trial {
-                triangles: extraction.surface.statistics.triangles,
-                regions: extraction.surface.regions.len() as u64,
-                bytes: bytes.ok().flatten().ok_or(WorkError::Stopped)?,
-            };
-            search.add(fitted, trial);
+            let bytes = bytes.ok().flatten().ok_or(WorkError::Stopped)?;
+            search.add(fitted, Trial::new(&extraction.surface, bytes));
         }
         search.end()
     }

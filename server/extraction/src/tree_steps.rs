@@ -66,7 +66,7 @@ pub(crate) fn next_coarser_cut(step: Step, regions: u64, expected: u64) -> Optio
 
 #[cfg(test)]
 mod tests {
-    use super::next_coarser_cut;
+    use super::{BYTES_OF_100_COARSE_TRIANGLES, BYTES_OF_100_TRIANGLES, chunk_bytes, next_coarser_cut};
     use crate::{CutId, Shown, Step};
 
     const REGIONS: u64 = 250;
@@ -102,8 +102,9 @@ mod tests {
             let expected = 300_000;
             let found = all(bytes, expected);
             assert_eq!(found.len(), steps, "{bytes} bytes a step: {found:?}");
-            let superseded: u64 = found.iter().map(|triangles| triangles * 8 + REGIONS * 160).sum();
-            let whole = expected * 45 / 10 + REGIONS * 160;
+            let bytes = |&triangles: &u64| chunk_bytes::of_triangles(triangles, REGIONS, BYTES_OF_100_COARSE_TRIANGLES);
+            let superseded: u64 = found.iter().map(bytes).sum();
+            let whole = chunk_bytes::of_triangles(expected, REGIONS, BYTES_OF_100_TRIANGLES);
             assert!(superseded * 10 <= whole * 3, "{superseded} of {whole}: {found:?}");
         }
     }

@@ -118,7 +118,7 @@ fn a_budget_of_bytes_is_filled_and_kept() {
     assert!((10_000..=20_000).contains(&bytes), "{bytes}");
     let too_few = workspace.surface(
         &volume,
-        &view(&volume, r#"{"iso":0,"bytes":300}"#),
+        &view(&volume, r#"{"iso":0,"bytes":100}"#),
         Making::default(),
         &Never,
     );

@@ -292,15 +292,9 @@ impl DeviceWorker {
             let Some(fitted) = search.new_fit(&extraction.view) else {
                 break;
             };
-            let triangles = extraction.surface.statistics.triangles;
-            let regions = extraction.surface.regions.len() as u64;
+            let unencoded = Trial::new(&extraction.surface, 0);
             let bytes = self.count_bytes(extraction.surface, caller, token).await?;
-            let trial = Trial {
-                triangles,
-                bytes,
-                regions,
-            };
-            search.add(fitted, trial);
+            search.add(fitted, Trial { bytes, ..unencoded });
         }
         search.end()
     }
