@@ -65,7 +65,7 @@ pub use engine::{
     Engine,
     cut::{Differences, Kept},
     fit::BUDGET_FIT,
-    mesh_regions::TreeRegions,
+    mesh_regions::{SPARSE_TRIANGLES, TreeRegions},
     query::{CURVE_POINTS, DistributionCounts, MAX_BINS, Probed, ProbedLeaf, ProbedPart, ShownCut},
     tree_cut::TreeSurface,
     tree_refine::{RefinementCost, RegionVertex},

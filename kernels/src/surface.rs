@@ -60,8 +60,7 @@ pub struct ErrorEstimate {
 pub struct RegionKey {
     /// Low corner in units of 32 cells, multiples of 2ˢ.
     pub coords: [u32; 3],
-    /// The exponent s: 0, except for regions of a cut of the vertex tree that has few triangles there
-    /// (`docs/algorithm.md#91-regions-that-grow`).
+    /// The exponent s: 0, except where a surface has few triangles (`docs/algorithm.md#91-regions-that-grow`).
     pub size: u8,
 }
 

@@ -4,6 +4,7 @@ use super::peel::triangles;
 use crate::layout::{NONE, RegionMesh};
 use crate::{Pyramid, Region, RegionKey, Vertex};
 use rustc_hash::FxHashMap;
+use std::collections::hash_map::Entry;
 
 /// Exponents of the sizes of regions that consist of several, the largest first. The stream has 16 bits for a coordinate, and a vertex may
 /// lie far outside of its region.
@@ -13,7 +14,7 @@ const JOINED_SIZES: [usize; 2] = [2, 1];
 const MAX_JOINED_TRIANGLES: u32 = 2000;
 
 /// Regions are joined if they have fewer triangles than this, on average.
-const SPARSE_TRIANGLES: u32 = 150;
+pub const SPARSE_TRIANGLES: u32 = 150;
 
 /// Regions of a mesh, each with the active regions that it consists of.
 #[derive(Clone, Debug, Default)]
@@ -25,12 +26,12 @@ pub(crate) struct MeshRegions {
     ends: Vec<u32>,
 }
 
-/// What the surface of a cut of a vertex tree is in each region. Tells in which regions the surface of another cut of the same tree differs.
+/// Signatures of the meshes of a cut of a vertex tree. They tell in which regions the surface of another cut of the same tree differs.
 #[derive(Clone, Debug)]
 pub struct TreeRegions {
     /// Id of the tree.
     tree: u64,
-    /// Minimum and span of the feature's range, on which values at vertices depend.
+    /// Range of the feature, on which values at vertices depend.
     feature: [f32; 2],
     regions: MeshRegions,
     /// Of each active region. Equal signatures mean equal meshes; the probability that those of different meshes are equal is 10⁻¹⁹.
@@ -51,13 +52,13 @@ struct Cubes {
 impl Cubes {
     fn new(size: usize, grid: [u32; 3]) -> Self {
         let [x, y, z] = grid.map(|regions| (regions as usize >> size) + 1);
-        let zeros = vec![0; x * y * z];
+        let cubes = x * y * z;
         Self {
             size,
             counts: [x, y],
-            triangles: zeros.clone(),
-            regions: zeros.clone(),
-            numbers: vec![NONE; zeros.len()],
+            triangles: vec![0; cubes],
+            regions: vec![0; cubes],
+            numbers: vec![NONE; cubes],
         }
     }
 
@@ -91,23 +92,15 @@ impl MeshRegions {
     }
 
     /// Returns the regions that have triangles, joined where they are sparse. `grid`: regions of the volume along each axis; `coords`,
-    /// `meshes`: of each active region. `remade`: whether each active region is made; the others are left out, and not joined with.
-    pub fn joined(grid: [u32; 3], coords: &[[u32; 3]], meshes: &[RegionMesh], remade: Option<&[bool]>) -> Self {
+    /// `meshes`: of each active region.
+    pub fn joined(grid: [u32; 3], coords: &[[u32; 3]], meshes: &[RegionMesh]) -> Self {
         let mut sizes = JOINED_SIZES.map(|size| Cubes::new(size, grid));
         let mut filled = Vec::with_capacity(coords.len());
         for ((number, &coords), mesh) in (0u32..).zip(coords).zip(meshes) {
             let count = triangles(mesh) as u32;
-            if count == 0 {
-                continue;
-            }
-            if remade.is_none_or(|remade| remade[number as usize]) {
+            if count > 0 {
                 sizes.iter_mut().for_each(|cubes| cubes.add(coords, count));
                 filled.push((number, coords));
-            } else {
-                // Too many triangles to be joined.
-                sizes
-                    .iter_mut()
-                    .for_each(|cubes| cubes.add(coords, MAX_JOINED_TRIANGLES + 1));
             }
         }
         let mut joined = Self {
@@ -168,46 +161,13 @@ impl MeshRegions {
         )
     }
 
-    /// Marks all members of joined regions in whose cube an active region is marked, be it a member or empty so far.
-    pub fn complete(&self, grid: [u32; 3], coords: &[[u32; 3]], marks: &mut [bool]) {
-        let mut sizes = JOINED_SIZES.map(|size| Cubes::new(size, grid));
-        for (number, key) in (0u32..).zip(&self.keys) {
-            if let Some(cubes) = sizes.iter_mut().find(|cubes| cubes.size == usize::from(key.size)) {
-                let cube = cubes.index(key.coords);
-                cubes.numbers[cube] = number;
+    /// Marks all members of regions of which one member is marked.
+    pub fn complete(&self, marks: &mut [bool]) {
+        for (_, members) in self.iter() {
+            if members.iter().any(|&member| marks[member as usize]) {
+                members.iter().for_each(|&member| marks[member as usize] = true);
             }
         }
-        let mut is_marked = vec![false; self.keys.len()];
-        for (&coords, _) in coords.iter().zip(&*marks).filter(|(_, mark)| **mark) {
-            for cubes in &sizes {
-                let number = cubes.numbers[cubes.index(coords)];
-                if number != NONE {
-                    is_marked[number as usize] = true;
-                }
-            }
-        }
-        for (_, members) in (self.iter().zip(is_marked))
-            .filter(|(_, is_marked)| *is_marked)
-            .map(|(region, _)| region)
-        {
-            members.iter().for_each(|&member| marks[member as usize] = true);
-        }
-    }
-
-    /// Replaces the regions whose members are made again by `made`. Returns the regions of the whole surface, and the keys of all regions
-    /// in which it may differ, of both. `remade`: whether each active region is made again: all members of a region are, or none.
-    pub fn replaced(&self, made: &Self, remade: &[bool]) -> (Self, Vec<RegionKey>) {
-        let (mut all, mut different) = (made.clone(), made.keys.clone());
-        for (key, members) in self.iter() {
-            if remade[members[0] as usize] {
-                different.push(key);
-            } else {
-                all.push(key, members);
-            }
-        }
-        different.sort_unstable();
-        different.dedup();
-        (all, different)
     }
 
     /// Returns the regions that are made again after `before`, and the keys of all regions in which the surface may differ, of both.
@@ -329,17 +289,24 @@ impl TreeRegions {
 /// Working memory of [`join_meshes`].
 #[derive(Default)]
 pub(super) struct Joining {
-    /// The number of each vertex in the joined mesh, and the last member that has it.
-    known: FxHashMap<Vertex, (u32, usize)>,
+    /// The number in the joined mesh of each vertex, and of its second and further copies in a member.
+    known: FxHashMap<(Vertex, u32), u32>,
+    /// Of each vertex of the joined mesh, the last member that has it.
+    last_members: Vec<usize>,
     /// The number of each vertex of a member.
     numbers: Vec<u32>,
 }
 
 /// Joins the meshes of the members of a region. Vertices of several members that are equal become one. Equal vertices of one member stay
-/// apart, because they are of different sheets.
+/// apart, because they are of different sheets: the second copy of a member is joined with the second copies of others, and so on.
 pub(super) fn join_meshes(joining: &mut Joining, key: RegionKey, members: &[&Region]) -> Region {
-    let Joining { known, numbers } = joining;
+    let Joining {
+        known,
+        last_members,
+        numbers,
+    } = joining;
     known.clear();
+    last_members.clear();
     let count = |of: fn(&Region) -> usize| members.iter().map(|member| of(member)).sum::<usize>();
     let mut vertices = Vec::with_capacity(count(|member| member.vertices.len()));
     let mut indices = vec![0; count(|member| member.indices.len())];
@@ -356,14 +323,20 @@ pub(super) fn join_meshes(joining: &mut Joining, key: RegionKey, members: &[&Reg
         for vertex in member.vertices.iter() {
             let position = [0, 1, 2].map(|axis| vertex.position[axis] + shift[axis]);
             let moved = Vertex { position, ..*vertex };
-            let new = vertices.len() as u32;
-            let (index, last_member) = known.entry(moved).or_insert((new, usize::MAX));
-            let is_joined = *index != new && *last_member != number;
-            *last_member = number;
-            if !is_joined {
-                vertices.push(moved);
-            }
-            numbers.push(if is_joined { *index } else { new });
+            let mut copy = 0;
+            let index = loop {
+                match known.entry((moved, copy)) {
+                    Entry::Occupied(entry) if last_members[*entry.get() as usize] == number => copy += 1,
+                    Entry::Occupied(entry) => break *entry.get(),
+                    Entry::Vacant(entry) => {
+                        vertices.push(moved);
+                        last_members.push(number);
+                        break *entry.insert(vertices.len() as u32 - 1);
+                    }
+                }
+            };
+            last_members[index as usize] = number;
+            numbers.push(index);
         }
         let mut own = &member.indices[..];
         for (next, count) in next.iter_mut().zip(member.level_triangles) {
@@ -402,7 +375,7 @@ mod tests {
     fn joined(regions: &[([u32; 3], u32)]) -> BTreeMap<RegionKey, Vec<u32>> {
         let meshes: Vec<RegionMesh> = regions.iter().map(|(_, count)| mesh(*count)).collect();
         let coords: Vec<[u32; 3]> = regions.iter().map(|(coords, _)| *coords).collect();
-        let of = MeshRegions::joined(GRID, &coords, &meshes, None);
+        let of = MeshRegions::joined(GRID, &coords, &meshes);
         let firsts: Vec<u32> = of.iter().map(|(_, members)| members[0]).collect();
         assert!(firsts.is_sorted(), "in the order of their first members: {firsts:?}");
         of.iter().map(|(key, members)| (key, members.to_vec())).collect()
@@ -488,7 +461,7 @@ mod tests {
     fn cuts_of_a_tree_differ_where_a_signature_does() {
         let coords = [[0, 0, 0], [1, 0, 0], [4, 0, 0]];
         let of = |tree, feature, counts: [u32; 3], words: [u32; 6]| {
-            let regions = MeshRegions::joined(GRID, &coords, &counts.map(mesh), None);
+            let regions = MeshRegions::joined(GRID, &coords, &counts.map(mesh));
             TreeRegions::new(tree, [0.0, feature], regions, &words)
         };
         let (counts, words) = ([10, 20, 30], [1, 2, 3, 4, 5, 6]);
@@ -513,40 +486,34 @@ mod tests {
     #[test]
     fn regions_are_made_again_as_a_whole() {
         let coords = [[0, 0, 0], [1, 0, 0], [2, 0, 0], [4, 0, 0], [5, 0, 0]];
+        let of = |counts: [u32; 5]| MeshRegions::joined(GRID, &coords, &counts.map(mesh));
         let (left, right) = (key([0, 0, 0], 2), key([4, 0, 0], 2));
-        let again = |before: [u32; 5], after: [u32; 5], mut remade: [bool; 5]| {
-            let before = MeshRegions::joined(GRID, &coords, &before.map(mesh), None);
-            before.complete(GRID, &coords, &mut remade);
-            let made = MeshRegions::joined(GRID, &coords, &after.map(mesh), Some(&remade));
-            let (mut all, different) = before.replaced(&made, &remade);
-            all.keys.sort_unstable();
-            (made.keys, all.keys, different)
-        };
-        let second = [false, true, false, false, false];
         let counts = [10, 20, 0, 30, 40];
-        assert_eq!(
-            again(counts, [10, 21, 0, 30, 40], second),
-            (vec![left], vec![left, right], vec![left])
-        );
+        let before = of(counts);
+        let mut marks = [false, true, false, false, false];
+        before.complete(&mut marks);
+        assert_eq!(marks, [true, true, false, false, false]);
+        let since = |after: [u32; 5], differs: usize| {
+            let mut marks = [false; 5];
+            marks[differs] = true;
+            let (made, different) = of(after).since(&before, &marks);
+            (made.keys, different)
+        };
+        assert_eq!(since([10, 21, 0, 30, 40], 1), (vec![left], vec![left]));
         // One member has become empty, the other one is alone.
         let alone = key([0, 0, 0], 0);
-        let of_one = (vec![alone], vec![alone, right], vec![alone, left]);
-        assert_eq!(again(counts, [10, 0, 0, 30, 40], second), of_one);
+        assert_eq!(since([10, 0, 0, 30, 40], 1), (vec![alone], vec![alone, left]));
         // A region that was empty is in the cube of a joined one.
-        let third = [false, false, true, false, false];
+        assert_eq!(since([10, 20, 5, 30, 40], 2), (vec![left], vec![left]));
+        let apart = [key([4, 0, 0], 0), key([5, 0, 0], 0)];
         assert_eq!(
-            again(counts, [10, 20, 5, 30, 40], third),
-            (vec![left], vec![left, right], vec![left])
+            since([10, 20, 0, 5000, 40], 3),
+            (apart.to_vec(), vec![apart[0], right, apart[1]])
         );
-        // A region that is not made again is not joined.
-        let dense = [10, 5000, 0, 30, 40];
-        let apart = [key([0, 0, 0], 0), key([1, 0, 0], 0)];
-        let (made, all, different) = again(dense, counts, second);
-        assert_eq!((made, different), (vec![apart[1]], vec![apart[1]]));
-        assert_eq!(all, [apart[0], apart[1], right]);
-        let (made, _, different) = again(counts, dense, second);
-        assert_eq!((made, different), (apart.to_vec(), vec![apart[0], left, apart[1]]));
-        assert_eq!(again(counts, counts, [false; 5]), (vec![], vec![left, right], vec![]));
+        let (made, different) = before.since(&of([10, 20, 0, 5000, 40]), &[false, false, false, true, false]);
+        assert_eq!((made.keys, different), (vec![right], vec![apart[0], right, apart[1]]));
+        let (made, different) = of(counts).since(&before, &[false; 5]);
+        assert!(made.keys.is_empty() && different.is_empty());
     }
 
     #[test]
@@ -599,7 +566,7 @@ mod tests {
     #[test]
     fn triangles_of_a_joined_region_are_in_order_of_their_levels() {
         let members = [mesh(4), mesh(6), mesh(2)];
-        let regions = MeshRegions::joined(GRID, &[[0, 0, 0], [1, 0, 0], [9, 0, 0]], &members, None);
+        let regions = MeshRegions::joined(GRID, &[[0, 0, 0], [1, 0, 0], [9, 0, 0]], &members);
         let mut meshes = regions.meshes(&members);
         assert_eq!(meshes.iter().map(|mesh| mesh.triangles[0]).collect::<Vec<_>>(), [5, 1]);
         meshes[1].triangle_base = 10;

@@ -21,6 +21,11 @@ use std::sync::atomic::Ordering;
 /// Stage that reads a mesh back.
 const READ_BACK: &str = "read back";
 
+/// Triangles that are made although they are not wanted, if that spares counting once more: those that take a GPU less time than counting.
+const MAX_SPARE_TRIANGLES: usize = 2_000_000;
+/// Beside these, so many for each wanted triangle.
+const EXCESSIVE: usize = 4;
+
 /// A mesh on the device.
 pub(crate) struct Mesh {
     pub keys: Vec<RegionKey>,
@@ -93,7 +98,7 @@ impl Engine {
                 let mesh = self.mesh(volume, pyramid, params, cut, cancel)?;
                 let counts = mesh.regions.clone();
                 let regions = match is_joined {
-                    true => joined(pyramid, &counts, None),
+                    true => joined(pyramid, &counts),
                     false => MeshRegions::all(pyramid),
                 };
                 MadeMesh {
@@ -191,8 +196,7 @@ impl Engine {
     }
 
     /// Meshes the regions of a cut in which it may differ from a shown one. `differs`: the active regions in which it may; `shown`: the
-    /// meshes of the shown one. Joined regions are made again as a whole. Regions that are not made again are not joined, because their
-    /// meshes would be needed.
+    /// meshes of the shown one. The regions of a surface are those of its cut, whatever was shown before it.
     fn mesh_again(
         &self,
         volume: &Volume,
@@ -202,17 +206,34 @@ impl Engine {
         (differs, shown): (&[bool], &CutMeshes),
         cancel: &dyn Cancel,
     ) -> Result<MadeMesh> {
+        let count = |remade: &[bool]| dual::count(&self.cx, volume, pyramid, &cut.state, &work(pyramid, remade));
+        let all_counted = lock(&cut.counted).take();
         let mut remade = differs.to_vec();
-        shown
-            .regions
-            .complete(pyramid.grid.regions(), &pyramid.coords, &mut remade);
-        let counted = dual::count(&self.cx, volume, pyramid, &cut.state, &work(pyramid, &remade))?;
+        let mut counted = match all_counted {
+            Some(counted) => {
+                remade.fill(true);
+                counted
+            }
+            None => {
+                shown.regions.complete(&mut remade);
+                count(&remade)?
+            }
+        };
         let mut counts = shown.counts.clone();
         for (i, _) in remade.iter().enumerate().filter(|(_, remade)| **remade) {
             counts[i] = counted.1[i];
         }
-        let made = joined(pyramid, &counts, Some(&remade));
-        let (regions, different) = shown.regions.replaced(&made, &remade);
+        let regions = joined(pyramid, &counts);
+        let (made, different) = regions.since(&shown.regions, differs);
+        // Regions that are joined now and were not before need all of their members, and the mesh of a large surface is not made for a few
+        // regions.
+        let lacks_member = made.members().iter().any(|&member| !remade[member as usize]);
+        if lacks_member || is_excessive(&counted.1, &made) {
+            drop(counted);
+            remade = differs.to_vec();
+            made.members().iter().for_each(|&member| remade[member as usize] = true);
+            counted = count(&remade)?;
+        }
         let mesh = self.dual(volume, pyramid, params, cut, counted, cancel)?;
         Ok(MadeMesh {
             mesh,
@@ -416,8 +437,19 @@ impl Engine {
 }
 
 /// As [`MeshRegions::joined`], of the active regions of a pyramid.
-pub(super) fn joined(pyramid: &Pyramid, meshes: &[RegionMesh], remade: Option<&[bool]>) -> MeshRegions {
-    MeshRegions::joined(pyramid.grid.regions(), &pyramid.coords, meshes, remade)
+pub(super) fn joined(pyramid: &Pyramid, meshes: &[RegionMesh]) -> MeshRegions {
+    MeshRegions::joined(pyramid.grid.regions(), &pyramid.coords, meshes)
+}
+
+/// Whether meshes have many more triangles than the regions that are wanted of them.
+fn is_excessive(meshes: &[RegionMesh], wanted: &MeshRegions) -> bool {
+    let all: usize = meshes.iter().map(triangles).sum();
+    let needed: usize = wanted
+        .members()
+        .iter()
+        .map(|&member| triangles(&meshes[member as usize]))
+        .sum();
+    all > MAX_SPARE_TRIANGLES + EXCESSIVE * needed
 }
 
 /// Triangles of a region's mesh.

@@ -147,7 +147,7 @@ impl Engine {
         // The error is measured by active regions.
         if !params.state_error {
             let words = cutter.sign(work, &offset_sums)?;
-            let signed = TreeRegions::new(tree.id, params.feature_range, joined(pyramid, &meshes, None), &words);
+            let signed = TreeRegions::new(tree.id, params.feature_range, joined(pyramid, &meshes), &words);
             (made, remade) = match shown.and_then(|shown| signed.since(shown)) {
                 Some((made, different)) => (made, Some(different)),
                 None => (signed.regions().clone(), None),

@@ -21,7 +21,7 @@ pub const MAX_REGION_SIZE: u8 = 2;
 /// Bytes of a vertex before compression.
 pub const VERTEX_BYTES: usize = 12;
 /// Maximum indices of a region of 32³ cells: two triangles for each grid edge in it and on its faces. Marching cubes has fewer, 5 a cell.
-/// Larger regions have about a thousand triangles.
+/// Larger regions have at most 2000 triangles.
 pub const MAX_INDICES: u32 = 3 * 2 * 3 * REGION_CELLS * (REGION_CELLS + 1) * (REGION_CELLS + 1);
 
 // Vertices are sent as they are in memory, and the wire is little-endian.

@@ -1,5 +1,7 @@
 //! Estimates of the bytes that meshes take in chunks.
 
+use isopeel_kernels::SPARSE_TRIANGLES;
+
 /// Bytes of a chunk without its triangles: headers of chunk and codecs.
 const CHUNK_BYTES: u64 = 160;
 
@@ -8,14 +10,12 @@ pub(crate) const BYTES_OF_100_TRIANGLES: u64 = 450;
 /// As [`BYTES_OF_100_TRIANGLES`], for coarse meshes. They take more bytes, because their vertices differ by more.
 pub(crate) const BYTES_OF_100_COARSE_TRIANGLES: u64 = 800;
 
-/// If there are fewer triangles than this in each region on average, regions are joined.
-const SPARSE_TRIANGLES: u64 = 150;
 /// Number of sparse regions that one chunk has, about.
 const JOINED_REGIONS: u64 = 4;
 
 /// Returns the bytes of `triangles` triangles in `regions` regions, with headers.
 pub(crate) fn of_triangles(triangles: u64, regions: u64, bytes_of_100_triangles: u64) -> u64 {
-    let chunks = match triangles < regions.saturating_mul(SPARSE_TRIANGLES) {
+    let chunks = match triangles < regions.saturating_mul(SPARSE_TRIANGLES.into()) {
         true => regions.div_ceil(JOINED_REGIONS),
         false => regions,
     };
@@ -27,7 +27,7 @@ pub(crate) fn triangles_of(bytes: u64, regions: u64, bytes_of_100_triangles: u64
     let beside = |chunks: u64| bytes.saturating_sub(chunks * CHUNK_BYTES) * 100 / bytes_of_100_triangles;
     let (sparse, limit) = (
         beside(regions.div_ceil(JOINED_REGIONS)),
-        regions.saturating_mul(SPARSE_TRIANGLES),
+        regions.saturating_mul(SPARSE_TRIANGLES.into()),
     );
     beside(regions).max(sparse.min(limit))
 }

@@ -12,7 +12,7 @@ use super::residency::Lru;
 /// step. With these three, even the surface of a large volume can change region by region.
 const MIN_CUTS: usize = 3;
 
-/// Host memory for the regions of cuts of vertex trees: 24 bytes a region, so that some 70 clients can show different surfaces of 20,000
+/// Host memory for the regions of cuts of vertex trees: 24 to 32 bytes a region, so that some 50 clients can show different surfaces of 20,000
 /// regions.
 const TREE_REGION_BYTES: u64 = 32 << 20;
 

@@ -139,7 +139,7 @@ impl Workspace {
             };
             let shown = match step.shown {
                 Shown::Cut(id) => lock(job.cuts).get(id),
-                Shown::Another | Shown::Alike => None,
+                Shown::Another | Shown::Alike | Shown::AlikeCut(_) => None,
             };
             let meshing = Instant::now();
             let maker = StepMaker {
@@ -181,7 +181,7 @@ impl OnDevice<'_> {
             let is_fitted =
                 matches!(view.budget, Some(Budget::Bytes(_))) && view.fitted.is_some_and(|fitted| fitted.is_tree_cut);
             // A surface that replaces another one at once has to be final.
-            let is_needed = view.removes_parts() && step.shown == Shown::Alike;
+            let is_needed = view.removes_parts() && step.shown.is_replaced_at_once();
             return is_fitted || is_needed || self.builds_tree_soon() || self.cached_tree().is_some();
         };
         view.removes_parts() && step.shown == Shown::Cut(target)

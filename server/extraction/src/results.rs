@@ -148,8 +148,17 @@ pub enum Shown {
     Another,
     /// The surface of the view, except for a property that affects every region. The final surface replaces it in one step.
     Alike,
+    /// As `Alike`, and this cut of the surface. Regions that are the same in both need not be made.
+    AlikeCut(CutId),
     /// A cut of the same surface. Its regions can be replaced one by one.
     Cut(CutId),
+}
+
+impl Shown {
+    /// Whether only the final surface may replace it.
+    pub fn is_replaced_at_once(self) -> bool {
+        matches!(self, Self::Alike | Self::AlikeCut(_))
+    }
 }
 
 /// Result of a step.

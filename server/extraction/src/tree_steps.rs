@@ -4,8 +4,8 @@
 //! coarser cuts, each several times as large as the one before. A connection that can send the final surface within one step gets no
 //! coarser cut.
 
+use super::Step;
 use super::chunk_bytes::{self, BYTES_OF_100_COARSE_TRIANGLES, BYTES_OF_100_TRIANGLES};
-use super::{Shown, Step};
 
 /// The final surface is sent at once if it has at most [`Step::line_bytes`] divided by this number.
 const AT_ONCE_DIVISOR: u64 = 4;
@@ -45,7 +45,7 @@ pub(crate) struct CoarserCut {
 pub(crate) fn next_coarser_cut(step: Step, regions: u64, expected: u64) -> Option<CoarserCut> {
     let final_bytes = chunk_bytes::of_triangles(expected, regions, BYTES_OF_100_TRIANGLES);
     // The client shows a surface of which every region changes only as a whole, so only the final surface may replace it.
-    if step.shown == Shown::Alike || final_bytes <= step.line_bytes / AT_ONCE_DIVISOR {
+    if step.shown.is_replaced_at_once() || final_bytes <= step.line_bytes / AT_ONCE_DIVISOR {
         return None;
     }
     let coarse_bytes = |triangles| chunk_bytes::of_triangles(triangles, regions, BYTES_OF_100_COARSE_TRIANGLES);

@@ -328,7 +328,7 @@ impl OnDevice<'_> {
     /// Returns the regions of the cut of the tree that a client shows, if they are cached.
     pub(crate) fn shown_regions(&self, shown: Shown) -> Option<Arc<TreeRegions>> {
         match shown {
-            Shown::Cut(id) => lock(self.cuts).get_tree(id),
+            Shown::Cut(id) | Shown::AlikeCut(id) => lock(self.cuts).get_tree(id),
             Shown::Another | Shown::Alike => None,
         }
     }

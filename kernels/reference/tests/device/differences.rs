@@ -3,6 +3,7 @@
 use super::recipes::{recipes, surfaces};
 use super::*;
 use isopeel_kernels::{Cut as DeviceCut, RegionKey};
+use std::cell::Cell;
 use std::collections::BTreeMap;
 
 pub type Parts = BTreeMap<RegionKey, Region>;
@@ -60,7 +61,9 @@ fn check_differences(host: &HostPyramid, states: [&[u8]; 2], differences: &Diffe
 #[test]
 fn a_part_made_anew_fits_the_rest() {
     let Some(engine) = device() else { return };
-    proptest!(config(4), |(recipe in recipes(surfaces()), seed in any::<u64>())| {
+    // Surfaces of steps in which regions were joined, and in which some were not.
+    let (joined, single) = (Cell::new(0), Cell::new(0));
+    proptest!(config(24), |(recipe in recipes(surfaces()), seed in any::<u64>())| {
         let loaded = load(&engine, &recipe);
         let pyramid = build(&engine, &loaded, Feature::None);
         let host = HostPyramid::read(&engine, &pyramid);
@@ -103,8 +106,15 @@ fn a_part_made_anew_fits_the_rest() {
             let whole = mesh(&engine, &loaded, &pyramid, &params, &state);
             prop_assert_eq!(&shown, &replace(&Parts::new(), &whole), "step {}", half);
             prop_assert_eq!(made.statistics.vertices, whole.statistics.vertices);
+            let is_joined = |region: &Region| region.size > 0;
+            joined.set(joined.get() + usize::from(shown.values().any(is_joined)));
+            single.set(single.get() + usize::from(!shown.values().all(is_joined)));
             before = mixed;
         }
         prop_assert_eq!(&shown, &want, "in steps");
     });
+    assert!(
+        joined.get() > 0 && single.get() > 0,
+        "{joined:?} and {single:?} surfaces"
+    );
 }

@@ -4,6 +4,7 @@
 //! the vertex tree gets a generation of its own, which replaces the regions that differ. Cameras that come meanwhile replace each other. An
 //! edit ends such a generation at once.
 
+use isopeel_extraction::Shown;
 use isopeel_view::CameraJson;
 
 use super::super::backend::Backend;
@@ -58,10 +59,12 @@ impl<B: Backend> Session<B> {
             return;
         }
         let before = self.last_generation;
+        // All members of a group share one step, whatever cut each of them holds.
+        let shares_step = self.member.is_some();
         for (number, surface) in opened.surfaces_mut() {
             if surface.has_to_follow(camera.as_ref()) {
                 self.last_generation += 1;
-                surface.begin_for_camera(number, self.last_generation, camera.clone(), self.jobs);
+                surface.begin_for_camera(number, self.last_generation, camera.clone(), (self.jobs, shares_step));
             }
         }
         if self.last_generation > before {
@@ -82,10 +85,21 @@ impl SurfaceSession {
         is_tree_cut && self.failed.is_none() && held.view.follows_camera() && held.view.camera.as_deref() != camera
     }
 
-    /// Begins a generation of the view in force for another camera. The surface changes in one step.
-    fn begin_for_camera(&mut self, surface: u8, number: u32, camera: Option<CameraJson>, jobs: u64) {
+    /// Begins a generation of the view in force for another camera. The surface changes in one step. `shares_step`: whether others who hold
+    /// other cuts are to be sent the same step, which is the whole surface then.
+    fn begin_for_camera(
+        &mut self,
+        surface: u8,
+        number: u32,
+        camera: Option<CameraJson>,
+        (jobs, shares_step): (u64, bool),
+    ) {
         let Some(key) = self.key.clone() else { return };
         let view = self.view_for(camera);
-        self.begin_generation(Generation::for_camera(surface, number, view, key), jobs);
+        let shown = match self.shown.as_ref().map(|held| held.shown_for(&key, &view)) {
+            Some(Shown::Cut(id)) if !shares_step => Shown::AlikeCut(id),
+            _ => Shown::Alike,
+        };
+        self.begin_generation(Generation::for_camera(surface, number, view, key, shown), jobs);
     }
 }

@@ -183,12 +183,11 @@ impl Generation {
     }
 
     /// Creates a generation in which a surface that the client holds follows a camera. `key`: key of the view's full surface.
-    pub(super) fn for_camera(surface: u8, number: u32, view: View, key: SurfaceKey) -> Self {
+    pub(super) fn for_camera(surface: u8, number: u32, view: View, key: SurfaceKey, shown: Shown) -> Self {
         let key = ViewKey::new(key, &view);
         Self {
             follows_camera: true,
-            // The surface is replaced as a whole, by regions that differ.
-            ..Self::new(surface, number, view, key, Shown::Alike)
+            ..Self::new(surface, number, view, key, shown)
         }
     }
 
@@ -295,7 +294,9 @@ impl Generation {
             ExtractionStatistics::new(&kernels, &refinement.view, smallest_length, self.wall, device)
         });
         let triangles = offered.step.regions.iter().map(|region| region.triangles as u64);
-        let own_step = offered.is_own.then(|| OwnStep {
+        // Of a cut of the tree, the time is that of the whole cut, even if few regions differ.
+        let is_part_of_tree_cut = refinement.surface.remade.is_some() && refinement.target.is_none();
+        let own_step = (offered.is_own && !is_part_of_tree_cut).then(|| OwnStep {
             triangles: triangles.sum(),
             time: refinement.meshing,
         });

@@ -1,6 +1,6 @@
 //! Surfaces that follow a camera.
 
-use isopeel_extraction::{Refinement, Shown, WorkError};
+use isopeel_extraction::{CutId, Refinement, Shown, WorkError};
 use isopeel_view::CameraJson;
 
 use super::super::Common;
@@ -35,7 +35,8 @@ async fn a_camera_that_moves_changes_the_regions_that_differ() {
     let mut viewer = seeing(&[1, 2, 3]).await;
     viewer.say(&message(2.0)).await;
     let job = viewer.step().await;
-    assert_eq!((place(&job), job.shown()), (Some(2.0), Shown::Alike));
+    let shown = Shown::AlikeCut(CutId::new(1));
+    assert_eq!((place(&job), job.shown()), (Some(2.0), shown));
     job.answer(Answer::last(2, shapes(&[1, 2, 4])).of_tree());
     viewer.expect(&prefix(2, 0, [1, 2, 3], true)).await;
     viewer.chunk().await;
