@@ -141,17 +141,17 @@ INLINED uint number_vertices(const LeafNumbers *of, __local uint *scratch, __glo
     return vertices;
 }
 
-// `places`: of each region of the mesh the number of its first one of 32^3 cells, and the number in the grid of the one at its low corner.
+// `corner_regions`: of each region of the mesh the number of its first one of 32^3 cells, and the number in the grid of the one at its low corner.
 // `own_numbers`: of all leaves; working memory, used for the leaves of the first region. `table_leaves`, `table_numbers`: a hash table a region, from `table_bases` on, up to that of
 // the next region; a power of two each. `vertex_leaves`: leaf of each vertex, from the region's first corner on.
 __kernel __attribute__((reqd_work_group_size(WIDE_GROUP, 1, 1)))
 void tree_index(const uint points, __global const Region *regions, __global const TreeRegion *tree_regions,
-                __global const uint2 *places, __global const uint *table_bases, __global const uint *cut_corners, __global uint *own_numbers,
+                __global const uint2 *corner_regions, __global const uint *table_bases, __global const uint *cut_corners, __global uint *own_numbers,
                 __global uint *table_leaves, __global uint *table_numbers, __global uint *indices, __global uint *vertex_leaves,
                 __global RegionMesh *cut_meshes) {
     __local uint scratch[WIDE_GROUP], others;
     const uint lid = get_local_id(0), group = (uint)get_group_id(0), first = 3 * cut_meshes[group].triangle_base;
-    const uint own = places[group].x;
+    const uint own = corner_regions[group].x;
     LeafNumbers of;
     find_points(&of.own, regions + own, tree_regions + own);
     of.node_base = tree_regions[own].node_base;
@@ -186,12 +186,12 @@ __kernel __attribute__((reqd_work_group_size(WIDE_GROUP, 1, 1)))
 void tree_vertices(const TreeVerticesArgs args, __global const uint *region_index, __global const Region *regions,
                    __global const Brick *bricks, __global const Node *nodes,
                    __global const VertexRecord *vertex_records, __global const TreeNode *tree_nodes, __global const int4 *points,
-                   __global const uint2 *offset_sums, __global const uint2 *places, __global const RegionMesh *cut_meshes,
+                   __global const uint2 *offset_sums, __global const uint2 *corner_regions, __global const RegionMesh *cut_meshes,
                    __global const uint *vertex_leaves, __global Vertex *vertices) {
     const Grid grid = args.grid;
     const uint group = (uint)get_group_id(0);
     const RegionMesh mesh = cut_meshes[group];
-    const int3 origin = convert_int3(region_origin(grid, places[group].y));
+    const int3 origin = convert_int3(region_origin(grid, corner_regions[group].y));
     for (uint i = get_local_id(0); i < mesh.vertices; i += WIDE_GROUP) {
         const uint leaf = vertex_leaves[3 * mesh.triangle_base + i];
         // First the point or node, then the cell whose slot the point has.

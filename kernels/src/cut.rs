@@ -1,8 +1,8 @@
 //! A cut on the device.
 
 use crate::buffer::Buffer;
-use crate::engine::mesh_regions::MeshRegions;
 use crate::layout::{self, RegionCut, RegionMesh};
+use crate::mesh_regions::MeshRegions;
 use crate::stages::dual::Counted;
 use crate::{ErrorEstimate, Level, Mesher, Pyramid};
 use std::sync::atomic::AtomicU64;

@@ -17,7 +17,6 @@ pub(crate) mod fit;
 mod generate;
 mod mask;
 mod measure;
-pub(crate) mod mesh_regions;
 pub(crate) mod peel;
 pub(crate) mod query;
 mod table;

@@ -37,6 +37,7 @@ pub mod interest;
 pub mod layout;
 mod lock;
 mod mask;
+mod mesh_regions;
 mod pace;
 pub mod params;
 mod program;
@@ -65,7 +66,6 @@ pub use engine::{
     Engine,
     cut::{Differences, Kept},
     fit::BUDGET_FIT,
-    mesh_regions::{SPARSE_TRIANGLES, TreeRegions},
     query::{CURVE_POINTS, DistributionCounts, MAX_BINS, Probed, ProbedLeaf, ProbedPart, ShownCut},
     tree_cut::TreeSurface,
     tree_refine::{RefinementCost, RegionVertex},
@@ -78,6 +78,7 @@ pub use feature::{DerivedFeature, Feature, Histogram, VectorFeature};
 pub use interest::{Interest, InterestShape};
 pub use lock::lock;
 pub use mask::ValueSet;
+pub use mesh_regions::{SPARSE_TRIANGLES, TreeRegions};
 pub use params::{CutParams, Isovalue, Level, MAX_LEVEL, Mesher, Topology};
 pub use program::{CompilerCheck, Gate};
 pub use pyramid::Pyramid;

@@ -36,7 +36,7 @@ LAYERS = {
         params rectilinear tuning volume
         expression feature mask program surface synthetic
         context pyramid
-        tree
+        mesh_regions tree
         stages
         cut
         engine

@@ -1,10 +1,11 @@
 //! Measures the error of a simplified surface against the full one without reading the mesh back. Viewers request it when the
 //! camera is at rest.
 
-use super::mesh_regions::MeshRegions;
-use super::peel::{Mesh, triangles};
+use super::peel::Mesh;
 use super::tree_cut::TreeMesh;
 use crate::cancel::check_cancelled;
+use crate::mesh_regions::MeshRegions;
+use crate::mesh_regions::triangles;
 use crate::{
     Cancel, CutParams, Engine, Error, Level, MeasuredError, Mesher, Pyramid, Result, TreeGoal, VertexTree, Volume,
 };

@@ -1,12 +1,12 @@
 //! From a cut to a surface: counts, meshes, and the mesh back on the host.
 
 use super::cut::work;
-use super::mesh_regions::{Joining, MeshRegions, join_meshes};
 use crate::buffer::Buffer;
 use crate::cancel::check_cancelled;
 use crate::cut::CutMeshes;
 use crate::layout::{self, Counters, RegionMesh};
 use crate::lock::lock;
+use crate::mesh_regions::{Joining, MeshRegions, join_meshes, triangles};
 use crate::stages::dual::{Counted, Work};
 use crate::stages::{self, dual, error, march, pack, patch};
 use crate::{
@@ -353,16 +353,16 @@ impl Engine {
         if joined.keys.len() == joined.members().len() {
             return Ok(regions);
         }
-        let mut places = vec![0; pyramid.host_regions.len()];
+        let mut read_index = vec![0; pyramid.host_regions.len()];
         numbers
             .iter()
             .enumerate()
-            .for_each(|(place, &number)| places[number] = place);
+            .for_each(|(index, &number)| read_index[number] = index);
         let made = |joining: &mut Joining, region: usize| {
             let (key, members) = joined.get(region);
             let members: Vec<&Region> = members
                 .iter()
-                .map(|&member| &regions[places[member as usize]])
+                .map(|&member| &regions[read_index[member as usize]])
                 .collect();
             match members[..] {
                 [alone] => alone.clone(),
@@ -450,11 +450,6 @@ fn is_excessive(meshes: &[RegionMesh], wanted: &MeshRegions) -> bool {
         .map(|&member| triangles(&meshes[member as usize]))
         .sum();
     all > MAX_SPARE_TRIANGLES + EXCESSIVE * needed
-}
-
-/// Triangles of a region's mesh.
-pub(super) fn triangles(mesh: &RegionMesh) -> usize {
-    mesh.triangles.iter().sum::<u32>() as usize
 }
 
 /// Meshes in all regions.

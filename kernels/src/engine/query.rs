@@ -410,7 +410,10 @@ impl Engine {
     /// Returns the number of triangles of a cut; counts them on the device if its mesh is not known.
     fn triangles_of(&self, volume: &Volume, pyramid: &Pyramid, cut: &Cut, cancel: &dyn Cancel) -> Result<u64> {
         if let Some(meshes) = &*lock(&cut.meshes) {
-            let triangles = meshes.counts.iter().map(|mesh| super::peel::triangles(mesh) as u64);
+            let triangles = meshes
+                .counts
+                .iter()
+                .map(|mesh| crate::mesh_regions::triangles(mesh) as u64);
             return Ok(triangles.sum());
         }
         Ok(self.count(volume, pyramid, cut, cancel)?.triangles)

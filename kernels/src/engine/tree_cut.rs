@@ -1,14 +1,14 @@
 //! Cuts of the vertex tree, fitted to a budget and meshed.
 
 use super::fit::ERROR_KEYS;
-use super::mesh_regions::{MeshRegions, TreeRegions};
-use super::peel::{Mesh, joined, triangles};
+use super::peel::{Mesh, joined};
 use super::tree_part::left_out;
 use crate::buffer::Buffer;
 use crate::cancel::check_cancelled;
 use crate::cut::sum_levels;
 use crate::layout::{RegionMesh, TreeCutRegion};
 use crate::lock::lock;
+use crate::mesh_regions::{MeshRegions, TreeRegions, triangles};
 use crate::stages::fit::{INNER_BINS, Keys};
 use crate::stages::tree_cut::{CutWork, Cutter};
 use crate::stages::tree_mesh::CutMesh;
@@ -366,10 +366,14 @@ impl Engine {
         let mesh = CutMesh {
             corners: cutter.emit(work, &made.level_starts(&made_meshes, meshes), triangles)?,
             meshes: device_meshes,
-            places: cx.upload(tree_cut::STAGE, &made.places(pyramid.grid.regions()))?,
+            corner_regions: cx.upload(tree_cut::STAGE, &made.corner_regions(pyramid.grid.regions()))?,
         };
         let (indices, vertex_leaves, mut regions) = cutter.index(&mesh, &table_bases(&made_meshes))?;
-        let CutMesh { corners, places, .. } = mesh;
+        let CutMesh {
+            corners,
+            corner_regions,
+            ..
+        } = mesh;
         let corner_slots = params
             .state_error
             .then(|| error::tree_corners(cx, volume, pyramid, tree, &corners))
@@ -381,7 +385,7 @@ impl Engine {
         cutter.vertices(
             &layout,
             &offset_sums,
-            &places,
+            &corner_regions,
             &device_meshes,
             &vertex_leaves,
             &vertices,

@@ -1,9 +1,9 @@
 //! Cuts of the vertex tree, refined at the places where their triangles intersect.
 
-use super::mesh_regions::MeshRegions;
-use super::peel::triangles;
 use super::tree_cut::TreeMesh;
 use crate::cancel::check_cancelled;
+use crate::mesh_regions::MeshRegions;
+use crate::mesh_regions::triangles;
 use crate::stages::tree_cut::{CutWork, Cutter, LEAF_NUMBER, STAGE};
 use crate::tree::TreeGoal;
 use crate::{Cancel, CutParams, Engine, Pyramid, Region, Result, Surface, VertexTree, Volume};

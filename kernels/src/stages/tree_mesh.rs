@@ -28,7 +28,7 @@ pub struct CutMesh {
     /// Range of the triangles of each region of the mesh.
     pub meshes: Buffer<RegionMesh>,
     /// Of each region of the mesh the number of its first active region, and of the one at its low corner in the grid.
-    pub places: Buffer<[u32; 2]>,
+    pub corner_regions: Buffer<[u32; 2]>,
 }
 
 impl Cutter<'_> {
@@ -86,12 +86,12 @@ impl Cutter<'_> {
         let vertex_leaves = self.cx.buffer(STAGE, mesh.corners.len())?;
         self.launch_made(
             "tree_index",
-            mesh.places.len(),
+            mesh.corner_regions.len(),
             &[
                 &self.tree.point_count(),
                 &self.pyramid.regions,
                 &self.tree.built.regions,
-                &mesh.places,
+                &mesh.corner_regions,
                 &bases,
                 &mesh.corners,
                 &own_numbers,
@@ -111,7 +111,7 @@ impl Cutter<'_> {
         &self,
         params: &CutParams,
         offset_sums: &Buffer<u32>,
-        places: &Buffer<[u32; 2]>,
+        corner_regions: &Buffer<[u32; 2]>,
         meshes: &Buffer<RegionMesh>,
         vertex_leaves: &Buffer<u32>,
         vertices: &Buffer<Vertex>,
@@ -124,7 +124,7 @@ impl Cutter<'_> {
         };
         self.launch_made(
             "tree_vertices",
-            places.len(),
+            corner_regions.len(),
             &[
                 &args,
                 &self.pyramid.region_index,
@@ -135,7 +135,7 @@ impl Cutter<'_> {
                 &self.tree.built.nodes,
                 &self.tree.points,
                 offset_sums,
-                places,
+                corner_regions,
                 meshes,
                 vertex_leaves,
                 vertices,

@@ -2,9 +2,30 @@
 
 use std::sync::Arc;
 
-use isopeel_kernels::{Cut, CutParams, TreeSurface};
+use isopeel_kernels::{Cut, CutParams, TreeRegions, TreeSurface};
 
 use super::WorkError;
+
+/// How a cut of the tree is made.
+#[derive(Clone, Copy, Default)]
+pub(crate) struct TreeMaking<'a> {
+    /// Maximum triangles.
+    pub ceiling: u64,
+    /// Whether the error is measured.
+    pub state_error: bool,
+    /// Regions of the cut that the client shows. Only regions that differ from them are made.
+    pub shown: Option<&'a TreeRegions>,
+}
+
+impl TreeMaking<'_> {
+    /// Makes the whole surface, of at most this number of triangles.
+    pub(crate) fn whole(ceiling: u64) -> Self {
+        Self {
+            ceiling,
+            ..Self::default()
+        }
+    }
+}
 
 /// A surface of a view that an error or a budget decides.
 pub(crate) enum Decided {

@@ -8,11 +8,10 @@ use isopeel_view::View;
 use isopeel_volumes::VolumeStep;
 
 use super::context::JobContext;
-use super::decisions::Decided;
+use super::decisions::{Decided, TreeMaking};
 use super::job_error::JobError;
 use super::on_device::{Nodes, OnDevice};
 use super::results::{Making, Refining};
-use super::tree_surfaces::TreeMaking;
 use super::workspace::Workspace;
 use super::{Extraction, MeasuredError, Measurement};
 

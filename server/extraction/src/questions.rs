@@ -13,12 +13,11 @@ use isopeel_view::View;
 use isopeel_volumes::VolumeStep;
 
 use super::context::JobContext;
-use super::decisions::TreeCut;
+use super::decisions::{TreeCut, TreeMaking};
 use super::job_error::JobError;
 use super::keys::VolumeKey;
 use super::on_device::{Nodes, OnDevice};
 use super::statistics::in_world;
-use super::tree_surfaces::TreeMaking;
 use super::workspace::Workspace;
 use super::{CutId, WorkError};
 pub use answers::{

@@ -21,11 +21,10 @@ use isopeel_volumes::VolumeStep;
 
 use super::chunk_bytes::{self, BYTES_OF_100_COARSE_TRIANGLES, BYTES_OF_100_TRIANGLES};
 use super::context::JobContext;
-use super::decisions::Decided;
+use super::decisions::{Decided, TreeMaking};
 use super::job_error::JobError;
 use super::on_device::{Nodes, OnDevice};
 use super::tree_steps;
-use super::tree_surfaces::TreeMaking;
 use super::workspace::Workspace;
 use super::{CutId, Refinement, Shown, Step, WorkError};
 

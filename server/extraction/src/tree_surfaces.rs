@@ -13,7 +13,7 @@ use isopeel_volumes::VolumeStep;
 
 use super::camera::{CameraTolerances, ErrorCurve, SeenSurface};
 use super::context::JobContext;
-use super::decisions::{Decided, TreeCut, milder_refusal};
+use super::decisions::{Decided, TreeCut, TreeMaking, milder_refusal};
 use super::intersections::{CapFaces, intersecting_vertices};
 use super::job_error::JobError;
 use super::on_device::{Nodes, OnDevice};
@@ -37,27 +37,6 @@ fn is_free(view: &View) -> bool {
 fn has_given_way(view: &View) -> bool {
     let gave_way = |fitted: Fitted| fitted.is_tree_cut && fitted.topology == Topology::Free;
     view.fitted.is_some_and(gave_way) && !view.removes_parts()
-}
-
-/// How a cut of the tree is made.
-#[derive(Clone, Copy, Default)]
-pub(crate) struct TreeMaking<'a> {
-    /// Maximum triangles.
-    pub ceiling: u64,
-    /// Whether the error is measured.
-    pub state_error: bool,
-    /// Regions of the cut that the client shows. Only regions that differ from them are made.
-    pub shown: Option<&'a TreeRegions>,
-}
-
-impl TreeMaking<'_> {
-    /// Makes the whole surface, of at most this number of triangles.
-    pub(crate) fn whole(ceiling: u64) -> Self {
-        Self {
-            ceiling,
-            ..Self::default()
-        }
-    }
 }
 
 /// The regions of a surface as a view's camera sees them, with what that means for a cut.

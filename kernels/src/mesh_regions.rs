@@ -1,6 +1,5 @@
 //! The regions in which a cut is meshed: larger ones where it has few triangles (`docs/algorithm.md#91-regions-that-grow`).
 
-use super::peel::triangles;
 use crate::layout::{NONE, RegionMesh};
 use crate::{Pyramid, Region, RegionKey, Vertex};
 use rustc_hash::FxHashMap;
@@ -238,7 +237,7 @@ impl MeshRegions {
 
     /// Returns the first member of each region, and the number of the region of 32³ cells at its low corner. `grid`: regions of the volume
     /// along each axis.
-    pub fn places(&self, [rx, ry, _]: [u32; 3]) -> Vec<[u32; 2]> {
+    pub fn corner_regions(&self, [rx, ry, _]: [u32; 3]) -> Vec<[u32; 2]> {
         let place = |(key, members): (RegionKey, &[u32])| {
             let [x, y, z] = key.coords;
             [members[0], x + rx * (y + ry * z)]
@@ -249,7 +248,7 @@ impl MeshRegions {
 
 impl TreeRegions {
     /// `words`: of each active region, two words of its signature.
-    pub(super) fn new(tree: u64, feature: [f32; 2], regions: MeshRegions, words: &[u32]) -> Self {
+    pub(crate) fn new(tree: u64, feature: [f32; 2], regions: MeshRegions, words: &[u32]) -> Self {
         let words = words.as_chunks::<2>().0.iter();
         Self {
             tree,
@@ -261,12 +260,12 @@ impl TreeRegions {
         }
     }
 
-    pub(super) fn regions(&self) -> &MeshRegions {
+    pub(crate) fn regions(&self) -> &MeshRegions {
         &self.regions
     }
 
     /// As [`MeshRegions::since`]; `None` if the cuts are not of one tree, or have not the same feature.
-    pub(super) fn since(&self, before: &Self) -> Option<(MeshRegions, Vec<RegionKey>)> {
+    pub(crate) fn since(&self, before: &Self) -> Option<(MeshRegions, Vec<RegionKey>)> {
         if (self.tree, self.feature) != (before.tree, before.feature) {
             return None;
         }
@@ -286,9 +285,14 @@ impl TreeRegions {
     }
 }
 
+/// Triangles of a region's mesh.
+pub(crate) fn triangles(mesh: &RegionMesh) -> usize {
+    mesh.triangles.iter().sum::<u32>() as usize
+}
+
 /// Working memory of [`join_meshes`].
 #[derive(Default)]
-pub(super) struct Joining {
+pub(crate) struct Joining {
     /// The number in the joined mesh of each vertex, and of its second and further copies in a member.
     known: FxHashMap<(Vertex, u32), u32>,
     /// Of each vertex of the joined mesh, the last member that has it.
@@ -299,7 +303,7 @@ pub(super) struct Joining {
 
 /// Joins the meshes of the members of a region. Vertices of several members that are equal become one. Equal vertices of one member stay
 /// apart, because they are of different sheets: the second copy of a member is joined with the second copies of others, and so on.
-pub(super) fn join_meshes(joining: &mut Joining, key: RegionKey, members: &[&Region]) -> Region {
+pub(crate) fn join_meshes(joining: &mut Joining, key: RegionKey, members: &[&Region]) -> Region {
     let Joining {
         known,
         last_members,
@@ -573,6 +577,6 @@ mod tests {
         let starts = regions.level_starts(&meshes, &members);
         let of = |member: usize| [starts[6 * member], starts[6 * member + 1]];
         assert_eq!([of(0), of(1), of(2)], [[0, 5], [2, 7], [10, 11]]);
-        assert_eq!(regions.places([12, 3, 3]), [[0, 0], [2, 9]]);
+        assert_eq!(regions.corner_regions([12, 3, 3]), [[0, 0], [2, 9]]);
     }
 }
