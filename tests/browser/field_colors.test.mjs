@@ -59,6 +59,8 @@ describe("colours of a field", { timeout: 4 * TIMEOUT_MS }, () => {
     await page.emulateMedia({ colorScheme: "dark" });
     await page.getByRole("button", { name: "Reset range of the colours" }).click();
     assert.equal(await end(page, "Highest colour").inputValue(), "43");
+    // A busy machine draws a few frames in lower quality.
+    for (let i = 0; i < 20 && difference(before, await picture(page)) >= 0.002; i += 1) await page.waitForTimeout(200);
     assert.ok(difference(before, await picture(page)) < 0.002, "as before");
     for (let i = 0; i < 4; i += 1) await page.getByRole("button", { name: "Undo" }).click();
     assert.equal(Number(await end(page, "Highest colour").inputValue()), dragged);

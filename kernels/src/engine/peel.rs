@@ -10,8 +10,8 @@ use crate::mesh_regions::{Joining, MeshRegions, join_meshes, triangles};
 use crate::stages::dual::{Counted, Work};
 use crate::stages::{self, dual, error, march, pack, patch};
 use crate::{
-    Cancel, Count, Cut, CutParams, Engine, Error, Kept, Level, Mesher, Pyramid, Region, RegionKey, Result, Surface,
-    SurfaceError, SurfaceStatistics, Volume,
+    Cancel, Count, Cut, CutParams, DeviceKind, Engine, Error, Kept, Level, Mesher, Pyramid, Region, RegionKey, Result,
+    Surface, SurfaceError, SurfaceStatistics, Volume,
 };
 use rayon::prelude::*;
 use std::ops::Range;
@@ -21,7 +21,7 @@ use std::sync::atomic::Ordering;
 /// Stage that reads a mesh back.
 const READ_BACK: &str = "read back";
 
-/// Triangles that are made although they are not wanted, if that spares counting once more: those that take a GPU less time than counting.
+/// Triangles that a GPU makes although they are not wanted, if that spares counting once more, which takes longer.
 const MAX_SPARE_TRIANGLES: usize = 2_000_000;
 /// Beside these, so many for each wanted triangle.
 const EXCESSIVE: usize = 4;
@@ -228,7 +228,7 @@ impl Engine {
         // Regions that are joined now and were not before need all of their members, and the mesh of a large surface is not made for a few
         // regions.
         let lacks_member = made.members().iter().any(|&member| !remade[member as usize]);
-        if lacks_member || is_excessive(&counted.1, &made) {
+        if lacks_member || is_excessive(self.device().kind, &counted.1, &made) {
             drop(counted);
             remade = differs.to_vec();
             made.members().iter().for_each(|&member| remade[member as usize] = true);
@@ -441,15 +441,18 @@ pub(super) fn joined(pyramid: &Pyramid, meshes: &[RegionMesh]) -> MeshRegions {
     MeshRegions::joined(pyramid.grid.regions(), &pyramid.coords, meshes)
 }
 
-/// Whether meshes have many more triangles than the regions that are wanted of them.
-fn is_excessive(meshes: &[RegionMesh], wanted: &MeshRegions) -> bool {
+/// Whether making all of these meshes takes longer than counting those that are wanted once more.
+fn is_excessive(kind: DeviceKind, meshes: &[RegionMesh], wanted: &MeshRegions) -> bool {
     let all: usize = meshes.iter().map(triangles).sum();
     let needed: usize = wanted
         .members()
         .iter()
         .map(|&member| triangles(&meshes[member as usize]))
         .sum();
-    all > MAX_SPARE_TRIANGLES + EXCESSIVE * needed
+    match kind {
+        DeviceKind::Cpu => all > 2 * needed,
+        DeviceKind::Gpu | DeviceKind::Other => needed == 0 || all > MAX_SPARE_TRIANGLES + EXCESSIVE * needed,
+    }
 }
 
 /// Meshes in all regions.
