@@ -1,5 +1,5 @@
 // tree_mesh: meshes of cuts of the vertex tree (docs/algorithm.md#8-cuts-of-the-vertex-tree). One work-group a region: tree_sign and
-// tree_emit one of 32^3 cells, tree_index and tree_vertices one of the mesh, which may consist of several.
+// tree_emit an active region, tree_index and tree_vertices a region of the mesh, which may consist of several active ones.
 //
 //   kernel         writes
 //   tree_sign      signatures of the regions' meshes
@@ -141,13 +141,13 @@ INLINED uint number_vertices(const LeafNumbers *of, __local uint *scratch, __glo
     return vertices;
 }
 
-// `corner_regions`: of each region of the mesh the number of its first one of 32^3 cells, and the number in the grid of the one at its low corner.
-// `own_numbers`: of all leaves; working memory, used for the leaves of the first region. `table_leaves`, `table_numbers`: a hash table a region, from `table_bases` on, up to that of
-// the next region; a power of two each. `vertex_leaves`: leaf of each vertex, from the region's first corner on.
+// `corner_regions`: of each region of the mesh, the number of its first active region, and the number in the grid of the region of 32^3 cells
+// at its low corner. `own_numbers`: of all leaves; working memory, used for the leaves of the first active region. `table_leaves`,
+// `table_numbers`: a hash table a region, from `table_bases` on, up to that of the next region; a power of two each. `vertex_leaves`: leaf of each vertex, from the region's first corner on.
 __kernel __attribute__((reqd_work_group_size(WIDE_GROUP, 1, 1)))
 void tree_index(const uint points, __global const Region *regions, __global const TreeRegion *tree_regions,
-                __global const uint2 *corner_regions, __global const uint *table_bases, __global const uint *cut_corners, __global uint *own_numbers,
-                __global uint *table_leaves, __global uint *table_numbers, __global uint *indices, __global uint *vertex_leaves,
+                __global const uint2 *corner_regions, __global const uint *table_bases, __global const uint *cut_corners,
+                __global uint *own_numbers, __global uint *table_leaves, __global uint *table_numbers, __global uint *indices, __global uint *vertex_leaves,
                 __global RegionMesh *cut_meshes) {
     __local uint scratch[WIDE_GROUP], others;
     const uint lid = get_local_id(0), group = (uint)get_group_id(0), first = 3 * cut_meshes[group].triangle_base;

@@ -84,13 +84,13 @@ impl MeshRegions {
     pub fn all(pyramid: &Pyramid) -> Self {
         let count = pyramid.host_regions.len() as u32;
         Self {
-            keys: pyramid.region_coords().map(RegionKey::smallest).collect(),
+            keys: keys(pyramid),
             members: (0..count).collect(),
             ends: (1..=count).collect(),
         }
     }
 
-    /// Returns the regions that have triangles, joined where they are sparse. `grid`: regions of the volume along each axis; `coords`,
+    /// Returns the regions that have triangles; sparse ones are joined. `grid`: regions of the volume along each axis; `coords`,
     /// `meshes`: of each active region.
     pub fn joined(grid: [u32; 3], coords: &[[u32; 3]], meshes: &[RegionMesh]) -> Self {
         let mut sizes = JOINED_SIZES.map(|size| Cubes::new(size, grid));
@@ -106,7 +106,7 @@ impl MeshRegions {
             members: vec![0; filled.len()],
             ..Self::default()
         };
-        // Of each region the place of its next member.
+        // Of each region, the index of its next member.
         let mut next = Vec::with_capacity(filled.len());
         let mut end = 0;
         for (number, coords) in filled {
@@ -283,6 +283,11 @@ impl TreeRegions {
             + size_of_val(&ends[..])
             + size_of_val(&self.signatures[..])) as u64
     }
+}
+
+/// Keys of the active regions.
+pub(crate) fn keys(pyramid: &Pyramid) -> Vec<RegionKey> {
+    pyramid.region_coords().map(RegionKey::smallest).collect()
 }
 
 /// Triangles of a region's mesh.

@@ -6,7 +6,7 @@ use crate::cancel::check_cancelled;
 use crate::cut::CutMeshes;
 use crate::layout::{self, Counters, RegionMesh};
 use crate::lock::lock;
-use crate::mesh_regions::{Joining, MeshRegions, join_meshes, triangles};
+use crate::mesh_regions::{Joining, MeshRegions, join_meshes, keys, triangles};
 use crate::stages::dual::{Counted, Work};
 use crate::stages::{self, dual, error, march, pack, patch};
 use crate::{
@@ -458,9 +458,4 @@ fn is_excessive(kind: DeviceKind, meshes: &[RegionMesh], wanted: &MeshRegions) -
 /// Meshes in all regions.
 pub(super) fn all(pyramid: &Pyramid) -> Vec<Work> {
     vec![Work::Mesh; pyramid.host_regions.len()]
-}
-
-/// Keys of the active regions.
-pub(super) fn keys(pyramid: &Pyramid) -> Vec<RegionKey> {
-    pyramid.region_coords().map(RegionKey::smallest).collect()
 }

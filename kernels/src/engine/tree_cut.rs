@@ -143,9 +143,11 @@ impl Engine {
         let (meshes, statistics) = self.count_tree_cut(cutter, work)?;
         check_cancelled(cancel)?;
         let offset_sums = cutter.offsets(work)?;
-        let (mut made, mut now, mut remade) = (MeshRegions::all(pyramid), None, None);
-        // The error is measured by active regions.
-        if !params.state_error {
+        let (made, remade, now);
+        if params.state_error {
+            // The error is measured by active regions.
+            (made, remade, now) = (MeshRegions::all(pyramid), None, None);
+        } else {
             let words = cutter.sign(work, &offset_sums)?;
             let signed = TreeRegions::new(tree.id, params.feature_range, joined(pyramid, &meshes), &words);
             (made, remade) = match shown.and_then(|shown| signed.since(shown)) {
