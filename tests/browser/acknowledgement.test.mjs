@@ -10,7 +10,7 @@ import { setUp } from "./setup.mjs";
 
 const at = setUp(() => {
   const folder = mkdtempSync(join(tmpdir(), "isopeel-"));
-  return { path: writeVolume(folder, 192), remove: () => rmSync(folder, { recursive: true }) };
+  return { path: writeVolume(folder, 128), remove: () => rmSync(folder, { recursive: true }) };
 });
 
 /**

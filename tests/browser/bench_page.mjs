@@ -17,7 +17,7 @@ import { tmpdir } from "node:os";
 import { extname, join, resolve } from "node:path";
 import { parseArgs } from "node:util";
 import { gzipSync } from "node:zlib";
-import { BINARY, openPage, rested, settled, startBrowser, startServer, writeVolume } from "./harness.mjs";
+import { BINARY, CHROMIUM_FLAGS, openPage, rested, settled, startBrowser, startServer, writeVolume } from "./harness.mjs";
 
 const { values: options } = parseArgs({
   options: {
@@ -199,7 +199,7 @@ async function heaps(browser) {
 }
 
 const folder = mkdtempSync(join(tmpdir(), "isopeel-page-"));
-const browser = await startBrowser();
+const browser = await startBrowser(CHROMIUM_FLAGS);
 try {
   const bytes = pageBytes();
   const frames = await firstFrame(browser);

@@ -7,7 +7,7 @@ import { mkdirSync, mkdtempSync, readFileSync, rmSync, writeFileSync } from "nod
 import { tmpdir } from "node:os";
 import { join, resolve } from "node:path";
 import { writeOcean } from "./ocean.mjs";
-import { openPage, rested, startBrowser, startServer, writeVolume } from "./harness.mjs";
+import { CHROMIUM_FLAGS, openPage, rested, startBrowser, startServer, writeVolume } from "./harness.mjs";
 
 const DOCS = resolve(import.meta.dirname, "../../docs");
 const IMAGES = join(DOCS, "images/gallery");
@@ -43,7 +43,7 @@ async function takeImage(largest) {
 }
 
 const folder = mkdtempSync(join(tmpdir(), "isopeel-gallery-"));
-const browser = await startBrowser();
+const browser = await startBrowser(CHROMIUM_FLAGS);
 const volumes = [join(data, "ct-head.nrrd"), writeOcean(join(data, "ocean_atlas_subset.nc"), folder), writeVolume(mkdtempSync(join(folder, "waves-")), WAVES)];
 const server = await startServer(volumes, { demo: true });
 try {

@@ -10,7 +10,7 @@ import { setUp } from "./setup.mjs";
 
 const at = setUp();
 
-const SIZES = { desktop: [1440, 900], tablet: [1024, 768], phone: [390, 844], narrow: [320, 640] };
+const SIZES = { desktop: [1440, 900], window: [1120, 700], tablet: [1024, 768], phone: [390, 844], narrow: [320, 640] };
 const openAt = (size, colorScheme, options = {}) => {
   const [width, height] = SIZES[size];
   return openPage(at.browser, at.server.url, { viewport: { width, height }, colorScheme, ...options });
@@ -105,7 +105,7 @@ describe("for everyone", { timeout: 6 * TIMEOUT_MS }, () => {
 
 describe("the page", { timeout: 6 * TIMEOUT_MS }, () => {
   test("a link brings back volume, values, look and camera, in another browser", async () => {
-    const { page } = await openAt("desktop", "dark");
+    const { page } = await openAt("window", "dark");
     const before = await settled(page);
     const field = page.getByRole("textbox", { name: "Triangles" });
     await field.fill("900");
@@ -152,7 +152,7 @@ describe("the page", { timeout: 6 * TIMEOUT_MS }, () => {
   });
 
   test("undo and redo go through values and look", async () => {
-    const { page } = await openAt("desktop", "dark");
+    const { page } = await openAt("window", "dark");
     const { edit } = await settled(page);
     await page.getByRole("slider", { name: "Isovalue" }).press("ArrowRight");
     await page.getByText("Wireframe").click();
@@ -168,7 +168,7 @@ describe("the page", { timeout: 6 * TIMEOUT_MS }, () => {
   });
 
   test("the slider of detail decides whatever limited the surface before, and each drag is one step", async () => {
-    const { page } = await openAt("desktop", "dark");
+    const { page } = await openAt("window", "dark");
     const before = await rested(page);
     assert.equal(before.edit.error, "1px");
     await dragSlider(page, "Triangles", 0.5667);
@@ -192,7 +192,7 @@ describe("the page", { timeout: 6 * TIMEOUT_MS }, () => {
   });
 
   test("the mesh of what is seen is downloaded", async () => {
-    const { page } = await openAt("desktop", "dark");
+    const { page } = await openAt("window", "dark");
     await settled(page);
     // Files are alike everywhere.
     await page.getByRole("switch", { name: "Finer where you look" }).press("Space");
@@ -211,7 +211,7 @@ describe("the page", { timeout: 6 * TIMEOUT_MS }, () => {
   });
 
   test("clip, slices, a comparison and an image of them", async () => {
-    const { page, faults, messages } = await openAt("desktop", "dark");
+    const { page, faults, messages } = await openAt("window", "dark");
     await rested(page);
     const opened = await picture(page);
     const card = (name) => page.getByRole("button", { name, exact: true }).and(page.locator(".card-head"));

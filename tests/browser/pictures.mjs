@@ -5,7 +5,7 @@
 
 import { mkdirSync, readFileSync } from "node:fs";
 import { join, resolve } from "node:path";
-import { startBrowser } from "./harness.mjs";
+import { CHROMIUM_FLAGS, startBrowser } from "./harness.mjs";
 
 const IMAGES = resolve(import.meta.dirname, "../../docs/images");
 const THREE = resolve(import.meta.dirname, "../../web/node_modules/three/build");
@@ -138,7 +138,7 @@ const folder = process.argv[2];
 if (folder === undefined) throw new Error("expected the folder that the example paper_figures wrote to");
 const only = process.argv[3];
 mkdirSync(IMAGES, { recursive: true });
-const browser = await startBrowser();
+const browser = await startBrowser(CHROMIUM_FLAGS);
 try {
   const page = await browser.newPage({ viewport: { width: 1440, height: 1000 } });
   page.on("pageerror", (error) => console.error(error));

@@ -2,7 +2,7 @@
 
 import { mkdirSync } from "node:fs";
 import { resolve } from "node:path";
-import { openPage, rested, startBrowser, startServer } from "./harness.mjs";
+import { CHROMIUM_FLAGS, openPage, rested, startBrowser, startServer } from "./harness.mjs";
 
 const IMAGES = resolve(import.meta.dirname, "../../docs/images");
 /** A part that matters, and the rest with few triangles. */
@@ -11,7 +11,7 @@ const light = process.argv.includes("--light");
 
 mkdirSync(IMAGES, { recursive: true });
 const server = await startServer([], { demo: true });
-const browser = await startBrowser();
+const browser = await startBrowser(CHROMIUM_FLAGS);
 try {
   const { page, faults } = await openPage(browser, `${server.url}/${LINK}`, {
     viewport: { width: 1440, height: 960 },
