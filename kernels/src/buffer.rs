@@ -11,6 +11,7 @@ use std::sync::{Arc, Mutex};
 
 /// Bytes allocated on a device; on a CPU they are the host's.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct DeviceMemory {
     /// Bytes of volumes, pyramids, cuts and stages.
     pub in_use: u64,

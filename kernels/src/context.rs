@@ -1,5 +1,6 @@
 //! An open device: its queue, programs, memory and stage times.
 
+use crate::activity::Activity;
 use crate::buffer::{Buffer, Pool, allocation_error};
 use crate::cancel::{Cancel, check_cancelled};
 use crate::device::{self, Found};
@@ -102,6 +103,7 @@ pub(crate) struct Context {
     pub queue: CommandQueue,
     pub programs: Programs,
     pub pool: Arc<Pool>,
+    pub activity: Arc<Activity>,
     events: Mutex<Vec<(&'static str, Event)>>,
     /// Times of events before these.
     times: Mutex<Vec<StageTime>>,
@@ -142,6 +144,7 @@ impl Context {
             queue,
             programs: Programs::new(sources),
             pool: Arc::new(Pool::new(idle_limit)),
+            activity: Arc::default(),
             events: Mutex::default(),
             times: Mutex::default(),
             blocks: Mutex::default(),
@@ -172,6 +175,7 @@ impl Context {
         let program = self.programs.of_kernel(name, sample_type, |source, options| {
             let text = format!("#include \"{}\"\n", source.file);
             let options = format!("-cl-std=CL1.2 {options} {}", self.tuning.defines());
+            self.activity.begin_compiling();
             Program::build(&self.context, &self.found, &text, &options, source.stage)
         })?;
         Ok(Arc::clone(program.get(name)))
@@ -180,6 +184,7 @@ impl Context {
     /// Builds a program of any text, which may include files of `cl/`.
     pub fn build(&self, source: &str, options: &str) -> Result<Program> {
         self.programs.pass(CUSTOM)?;
+        self.activity.begin_compiling();
         Program::build(&self.context, &self.found, source, options, CUSTOM)
     }
 
@@ -304,6 +309,7 @@ impl Context {
                     .enqueue_read_buffer(buffer.raw(), CL_BLOCKING, first * size_of::<T>(), &mut data, &[])
             };
             self.record(stage, event, bytes)?;
+            self.activity.all_done();
         }
         Ok(data)
     }
@@ -340,7 +346,9 @@ impl Context {
         let kernel = &*lock(kernel);
         let expected = kernel.num_args().map_err(failed)? as usize;
         assert_eq!(args.len(), expected, "arguments of a kernel of stage {stage}");
-        self.programs.pass_launch(kernel, groups * local, local)?;
+        if self.programs.pass_launch(kernel, groups * local, local)? {
+            self.activity.begin_compiling();
+        }
         for (index, arg) in args.iter().enumerate() {
             arg.set(kernel, index as u32).map_err(failed)?;
         }
@@ -372,7 +380,9 @@ impl Context {
 
     /// Waits until all enqueued commands are done.
     pub fn finish(&self, stage: &'static str) -> Result<()> {
-        self.queue.finish().map_err(|source| Error::Launch { stage, source })
+        self.queue.finish().map_err(|source| Error::Launch { stage, source })?;
+        self.activity.all_done();
+        Ok(())
     }
 
     /// Launches `units` of a piece of work, waits for their end, and lets `pace` choose the size of the next launch from their time.
@@ -398,6 +408,7 @@ impl Context {
 
     pub fn record(&self, stage: &'static str, event: std::result::Result<Event, ClError>, bytes: u64) -> Result<()> {
         let event = event.map_err(|e| allocation_error(stage, bytes, e))?;
+        self.activity.command();
         let mut events = lock(&self.events);
         events.push((stage, event));
         // Some jobs never take their times, such as expressions and histograms.

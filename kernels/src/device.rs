@@ -15,6 +15,7 @@ pub const POCL: &str = "Portable Computing Language";
 
 /// What kind of processor a device is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub enum DeviceKind {
     /// A graphics processor.
     Gpu,
@@ -26,6 +27,7 @@ pub enum DeviceKind {
 
 /// A device as `isopeel devices` lists it.
 #[derive(Clone, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct DeviceInfo {
     /// Position in the list, in order of preference: GPUs first, then by driver and memory.
     pub index: usize,

@@ -1,5 +1,8 @@
 //! A device with its programs: loads volumes, builds pyramids, peels surfaces.
 
+use std::sync::Arc;
+
+use crate::activity::Activity;
 use crate::buffer::{Buffer, DeviceMemory};
 use crate::context::Context;
 use crate::lock::lock;
@@ -68,6 +71,11 @@ impl Engine {
     /// The device in use.
     pub fn device(&self) -> &DeviceInfo {
         &self.cx.found.info
+    }
+
+    /// What the engine does now, for another thread.
+    pub fn activity(&self) -> Arc<Activity> {
+        Arc::clone(&self.cx.activity)
     }
 
     /// Names of the programs that were built so far.

@@ -1,5 +1,6 @@
 //! Errors of the crate.
 
+use crate::interned::StaticText;
 use opencl3::error_codes::{CL_DEVICE_NOT_AVAILABLE, CL_DEVICE_NOT_FOUND};
 
 /// The stage that opens a device.
@@ -11,6 +12,7 @@ pub type Result<T> = std::result::Result<T, Error>;
 /// A failure, with the stage it happened in.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub enum Error {
     /// No OpenCL loader (`libOpenCL.so.1`) on this machine.
     #[error("no OpenCL loader found: install it, on Debian with `apt-get install ocl-icd-libopencl1`")]
@@ -33,7 +35,8 @@ pub enum Error {
     #[error("stage {stage} did not build with options {options:?}:\n{log}")]
     Build {
         /// Stage whose program failed.
-        stage: &'static str,
+        #[cfg_attr(feature = "serde", serde(deserialize_with = "crate::interned::deserialize"))]
+        stage: StaticText,
         /// Build options.
         options: String,
         /// Log of the compiler.
@@ -43,16 +46,19 @@ pub enum Error {
     #[error("stage {stage} failed on the device")]
     Launch {
         /// Stage that failed.
-        stage: &'static str,
+        #[cfg_attr(feature = "serde", serde(deserialize_with = "crate::interned::deserialize"))]
+        stage: StaticText,
         /// The driver's error.
         #[source]
+        #[cfg_attr(feature = "serde", serde(with = "code"))]
         source: opencl3::error_codes::ClError,
     },
     /// A buffer could not be allocated.
     #[error("{}", out_of_memory(stage, *needed_bytes, *limit_bytes))]
     OutOfDeviceMemory {
         /// Stage that requested the buffer.
-        stage: &'static str,
+        #[cfg_attr(feature = "serde", serde(deserialize_with = "crate::interned::deserialize"))]
+        stage: StaticText,
         /// Requested bytes; 0 if no buffer was requested.
         needed_bytes: u64,
         /// Bytes the device allows for one allocation; `None` if it has less memory left than it allows.
@@ -62,7 +68,8 @@ pub enum Error {
     #[error("{what}: {why}")]
     Invalid {
         /// The parameter.
-        what: &'static str,
+        #[cfg_attr(feature = "serde", serde(deserialize_with = "crate::interned::deserialize"))]
+        what: StaticText,
         /// The value found and the value expected.
         why: String,
     },
@@ -103,5 +110,20 @@ fn no_device(wanted: Option<&str>, found: &[String]) -> String {
             .to_owned(),
         Some(wanted) => format!("no OpenCL device matches {wanted:?}: found {found:?}"),
         None => format!("no OpenCL device: found {found:?}"),
+    }
+}
+
+/// An error of OpenCL as its code.
+#[cfg(feature = "serde")]
+mod code {
+    use opencl3::error_codes::ClError;
+    use serde::{Deserialize, Deserializer, Serializer};
+
+    pub fn serialize<S: Serializer>(error: &ClError, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_i32(error.0)
+    }
+
+    pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<ClError, D::Error> {
+        i32::deserialize(deserializer).map(ClError)
     }
 }

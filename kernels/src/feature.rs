@@ -70,6 +70,7 @@ macro_rules! computed_features {
     ($(#[doc = $of:literal])* $features:ident { $($(#[doc = $doc:literal])* $variant:ident, $name:literal, $kind:ident;)* }) => {
         $(#[doc = $of])*
         #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+        #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
         pub enum $features {
             $($(#[doc = $doc])* $variant),*
         }
@@ -130,9 +131,11 @@ computed_features! {
 
 /// Range and distribution of a field or a derived feature.
 #[derive(Clone, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Histogram {
     /// Minimum and maximum finite value; `[0, 0]` when there is none.
     pub range: [f32; 2],
     /// Samples in 256 equal bins from `range[0]` to `range[1]`.
+    #[cfg_attr(feature = "serde", serde(with = "crate::bulk"))]
     pub bins: Vec<u64>,
 }

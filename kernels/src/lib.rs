@@ -13,14 +13,20 @@
 //! - [`synthetic`]: volumes generated from formulas, and the device's own speed, for benches.
 //! - [`tuning`]: work-group sizes and other settings for a CPU and a GPU.
 //! - [`layout`]: the structs that host and device exchange.
+//! - `bulk`, [`interned`], `checked`: arrays, texts and conditions of types that are sent to another process.
 //! - [`tables`]: the case tables of a cube.
 //! - `testing`: access to internals for tests outside the crate, behind the feature of that name.
 //!
 //! This crate knows nothing of tokio, sockets, JSON or files.
 
+mod activity;
 mod buffer;
+#[cfg(feature = "serde")]
+pub mod bulk;
 mod cancel;
 pub mod check;
+#[cfg(feature = "serde")]
+mod checked;
 mod constants;
 mod context;
 mod cut;
@@ -34,6 +40,7 @@ mod feature;
 #[cfg(test)]
 mod generated;
 pub mod interest;
+pub mod interned;
 pub mod layout;
 mod lock;
 mod mask;
@@ -56,6 +63,7 @@ mod tree;
 pub mod tuning;
 pub mod volume;
 
+pub use activity::Activity;
 pub use buffer::DeviceMemory;
 pub use cancel::{Cancel, Never, check_cancelled};
 #[cfg(feature = "testing")]

@@ -11,11 +11,22 @@ const GROWTH: u64 = 4;
 
 /// Sizes of the launches of one piece of work, in any unit.
 #[derive(Clone, Debug)]
+#[cfg_attr(
+    feature = "serde",
+    derive(serde::Serialize, serde::Deserialize),
+    serde(remote = "Self")
+)]
 pub(crate) struct Pace {
     next: u64,
     smallest: u64,
     largest: u64,
 }
+
+#[cfg(feature = "serde")]
+crate::checked_serde!(Pace, |pace| {
+    let is_usable = 1 <= pace.smallest && (pace.smallest..=pace.largest).contains(&pace.next);
+    is_usable.then_some(()).ok_or("sizes of launches that are out of order")
+});
 
 impl Pace {
     /// Begins with `first` units, and stays between `smallest` and `largest`.

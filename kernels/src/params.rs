@@ -4,7 +4,15 @@ use crate::{Error, Interest, Result, TransferFunction, interest};
 
 /// Level of a cube: it covers `2^level` cells per axis. 0 is the finest.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[cfg_attr(
+    feature = "serde",
+    derive(serde::Serialize, serde::Deserialize),
+    serde(remote = "Self")
+)]
 pub struct Level(u8);
+
+#[cfg(feature = "serde")]
+crate::checked_serde!(Level, |level| Level::new(level.0));
 
 /// The coarsest level there is: 32 cells per axis, one region.
 pub const MAX_LEVEL: Level = Level(5);
@@ -33,7 +41,15 @@ impl Level {
 
 /// An isovalue, in the file's own units; finite.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(
+    feature = "serde",
+    derive(serde::Serialize, serde::Deserialize),
+    serde(remote = "Self")
+)]
 pub struct Isovalue(f32);
+
+#[cfg(feature = "serde")]
+crate::checked_serde!(Isovalue, |iso| Isovalue::new(iso.0));
 
 impl Isovalue {
     /// # Errors
@@ -66,6 +82,7 @@ pub enum Mesher {
 
 /// Whether decimation may change the surface's topology.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub enum Topology {
     /// Only cubes that are safe to merge are decimated (`docs/algorithm.md#41-guards`): no part vanishes, no opening closes.
     #[default]

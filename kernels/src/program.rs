@@ -156,18 +156,18 @@ impl Programs {
     }
 
     /// Calls the compiler check before the first launch of a variant of a kernel, because PoCL compiles variants at their first launch: one
-    /// for each work-group size, for few work-items and for many.
+    /// for each work-group size, for few work-items and for many. Returns whether this is the first launch of the variant.
     ///
     /// # Errors
     /// [`Error::Refused`] with the reason of the compiler check.
-    pub fn pass_launch(&self, kernel: &Kernel, global: usize, local: usize) -> Result<()> {
+    pub fn pass_launch(&self, kernel: &Kernel, global: usize, local: usize) -> Result<bool> {
         let variant = (kernel.get() as usize, local, global <= FEW_WORK_ITEMS);
         if lock(&self.launched).contains(&variant) {
-            return Ok(());
+            return Ok(false);
         }
         self.may_compile()?;
         lock(&self.launched).insert(variant);
-        Ok(())
+        Ok(true)
     }
 
     /// Names of the programs that are built, in no order.

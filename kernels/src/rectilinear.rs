@@ -5,11 +5,25 @@ use crate::{Error, Grid, Result};
 /// A grid with the lengths of its cells, if they are not the same along an axis. Features use these lengths for derivatives; everything
 /// else uses the grid's spacing.
 #[derive(Clone, Debug, PartialEq)]
+#[cfg_attr(
+    feature = "serde",
+    derive(serde::Serialize, serde::Deserialize),
+    serde(remote = "Self")
+)]
 pub struct RectilinearGrid {
     grid: Grid,
     /// Along x, y and z, world units; `None` if all are the grid's spacing.
     lengths: Option<[Vec<f32>; 3]>,
 }
+
+#[cfg(feature = "serde")]
+crate::checked_serde!(RectilinearGrid, |grid| {
+    Grid::new(grid.grid.dims, grid.grid.spacing)?;
+    grid.lengths
+        .clone()
+        .map(|lengths| RectilinearGrid::uneven(grid.grid, lengths))
+        .transpose()
+});
 
 impl From<Grid> for RectilinearGrid {
     fn from(grid: Grid) -> Self {

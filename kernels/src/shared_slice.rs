@@ -27,6 +27,12 @@ impl<T: Pod> SharedSlice<T> {
         Self(Memory::Shared(bytes))
     }
 
+    /// Elements in shared memory; `None` if the bytes are not a whole number of aligned elements.
+    pub fn of_bytes(bytes: Bytes) -> Option<Self> {
+        let fits = bytemuck::try_cast_slice::<u8, T>(&bytes).is_ok();
+        fits.then_some(Self(Memory::Shared(bytes)))
+    }
+
     /// The same bits as elements of another type, of the same size and alignment.
     pub(crate) fn cast<U: Pod>(self) -> SharedSlice<U> {
         const { assert!(size_of::<T>() == size_of::<U>() && align_of::<T>() == align_of::<U>()) };

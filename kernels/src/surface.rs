@@ -1,5 +1,6 @@
 //! The result: regions of indexed triangles.
 
+use crate::interned::StaticText;
 use crate::{Level, REGION_CELLS, SharedSlice};
 
 /// One vertex as it leaves the device: 20 bytes, on a lattice that all regions share.
@@ -39,6 +40,7 @@ pub(crate) fn unit_of_octahedral([x, y]: [f32; 2]) -> [f32; 3] {
 /// Distance between a mesh and the full-resolution surface, in world units (`docs/algorithm.md#67-measured-error`): of each
 /// full-resolution crossing to the mesh, and of points on each triangle to the surface.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct SurfaceError {
     /// Root of the mean of the two mean squares.
     pub rms: f32,
@@ -48,6 +50,7 @@ pub struct SurfaceError {
 
 /// Estimated distance of a surface from the full one, from the quadrics of its leaves, in world units. Known before the surface is made.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct ErrorEstimate {
     /// Root mean square over the leaves, each weighted by the undecimated triangles that it represents.
     pub rms: f32,
@@ -57,6 +60,11 @@ pub struct ErrorEstimate {
 
 /// A region: an aligned cube of 32·2ˢ cells.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, PartialOrd, Ord)]
+#[cfg_attr(
+    feature = "serde",
+    derive(serde::Serialize, serde::Deserialize),
+    serde(remote = "Self")
+)]
 pub struct RegionKey {
     /// Low corner in units of 32 cells, multiples of 2ˢ.
     pub coords: [u32; 3],
@@ -64,10 +72,22 @@ pub struct RegionKey {
     pub size: u8,
 }
 
+#[cfg(feature = "serde")]
+crate::checked_serde!(RegionKey, RegionKey::check);
+
 impl RegionKey {
     /// The region of 32 cells with this low corner.
     pub fn smallest(coords: [u32; 3]) -> Self {
         Self { coords, size: 0 }
+    }
+
+    /// Checks that the positions of the region fit their types.
+    #[cfg(feature = "serde")]
+    fn check(&self) -> Result<(), &'static str> {
+        let is_inside = self.coords.iter().all(|&c| c.checked_mul(REGION_CELLS).is_some());
+        let largest = (i32::MAX / (REGION_CELLS as i32 * Vertex::LATTICE)).ilog2();
+        let is_usable = is_inside && u32::from(self.size) <= largest;
+        is_usable.then_some(()).ok_or("a region beyond the largest volume")
     }
 
     /// Length of an edge in units of a vertex position.
@@ -87,14 +107,21 @@ impl RegionKey {
 /// The part of a surface in one region. Triangles of the region share vertices. A vertex of several regions has identical bits in each,
 /// except that positions are relative to the region's origin.
 #[derive(Clone, Debug, Default, PartialEq)]
+#[cfg_attr(
+    feature = "serde",
+    derive(serde::Serialize, serde::Deserialize),
+    serde(remote = "Self")
+)]
 pub struct Region {
     /// Low corner of the region in units of 32 cells: [`RegionKey::coords`].
     pub coords: [u32; 3],
     /// Size of the region: [`RegionKey::size`].
     pub size: u8,
     /// Vertices.
+    #[cfg_attr(feature = "serde", serde(with = "crate::bulk"))]
     pub vertices: SharedSlice<Vertex>,
     /// Three per triangle, counter-clockwise seen from the side of lower values; ordered by level, finest first.
+    #[cfg_attr(feature = "serde", serde(with = "crate::bulk"))]
     pub indices: SharedSlice<u32>,
     /// Triangles of each level, 0 (finest) first.
     pub level_triangles: [u32; 6],
@@ -102,7 +129,28 @@ pub struct Region {
     pub error: Option<SurfaceError>,
 }
 
+#[cfg(feature = "serde")]
+crate::checked_serde!(Region, Region::check);
+
 impl Region {
+    /// Checks that the triangles are those of the levels, and that their vertices exist.
+    ///
+    /// # Errors
+    /// What is wrong with the region.
+    #[cfg(feature = "serde")]
+    pub fn check(&self) -> Result<(), &'static str> {
+        self.key().check()?;
+        let triangles: u64 = self.level_triangles.iter().map(|&n| u64::from(n)).sum();
+        if self.indices.len() as u64 != 3 * triangles {
+            return Err("a region with more or fewer triangles than its levels");
+        }
+        let largest = self.indices.iter().fold(0, |largest, &index| index.max(largest));
+        let is_usable = self.indices.is_empty() || (largest as usize) < self.vertices.len();
+        is_usable
+            .then_some(())
+            .ok_or("a region with triangles of missing vertices")
+    }
+
     /// Which region it is.
     #[inline]
     pub fn key(&self) -> RegionKey {
@@ -122,15 +170,18 @@ impl Region {
 
 /// Time that one stage spent on the device.
 #[derive(Clone, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct StageTime {
     /// Name of the stage.
-    pub stage: &'static str,
+    #[cfg_attr(feature = "serde", serde(deserialize_with = "crate::interned::deserialize"))]
+    pub stage: StaticText,
     /// Milliseconds between the start and the end of its kernels, summed over launches.
     pub milliseconds: f64,
 }
 
 /// The parts of the surface that a cut leaves out ([`crate::PartFilter`]).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct RemovedParts {
     /// Number of removed parts.
     pub parts: u64,
@@ -142,6 +193,7 @@ pub struct RemovedParts {
 
 /// Counts, error, times and memory of one extraction.
 #[derive(Clone, Debug, Default, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct SurfaceStatistics {
     /// Triangles of the undecimated marching-cubes surface, without removed parts.
     pub full_triangles: u64,
@@ -200,6 +252,7 @@ pub struct Count {
 
 /// A whole surface: one prefix, or the final one.
 #[derive(Clone, Debug)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Surface {
     /// The non-empty regions that were meshed, x fastest; a region of several ones is in the place of its first one.
     pub regions: Vec<Region>,

@@ -4,6 +4,7 @@ use crate::{DeviceInfo, DeviceKind};
 
 /// Sizes; `cl/` knows all but the last as `GROUP`, `WIDE_GROUP`, `BRICK_GROUP`, `LANES`, `RUN` and `PREFETCHES`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Tuning {
     /// Work-items of a group that works on one region.
     pub region_group: usize,

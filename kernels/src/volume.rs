@@ -7,6 +7,7 @@ use std::sync::Arc;
 
 /// Type of a sample on the device. Wider file types become [`SampleType::F32`] before upload.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub enum SampleType {
     /// Unsigned 8 bit.
     U8,
@@ -44,17 +45,18 @@ impl SampleType {
 
 /// Samples on the host, x fastest, then y, then z.
 #[derive(Clone, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub enum Samples {
     /// Unsigned 8 bit.
-    U8(Vec<u8>),
+    U8(#[cfg_attr(feature = "serde", serde(with = "crate::bulk"))] Vec<u8>),
     /// Signed 8 bit.
-    I8(Vec<i8>),
+    I8(#[cfg_attr(feature = "serde", serde(with = "crate::bulk"))] Vec<i8>),
     /// Unsigned 16 bit.
-    U16(Vec<u16>),
+    U16(#[cfg_attr(feature = "serde", serde(with = "crate::bulk"))] Vec<u16>),
     /// Signed 16 bit.
-    I16(Vec<i16>),
+    I16(#[cfg_attr(feature = "serde", serde(with = "crate::bulk"))] Vec<i16>),
     /// IEEE 754 single precision.
-    F32(Vec<f32>),
+    F32(#[cfg_attr(feature = "serde", serde(with = "crate::bulk"))] Vec<f32>),
 }
 
 impl Samples {
@@ -166,6 +168,7 @@ fn surround<T: Copy>(samples: &[T], dims: [u32; 3], value: T) -> Vec<T> {
 
 /// Extent of a volume: samples per axis (at least 2) and the distance between them.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Grid {
     /// Samples along x, y, z. Cells are one fewer.
     pub dims: [u32; 3],

@@ -20,6 +20,7 @@ pub type FindFaults<'a> = &'a dyn Fn(&[Region], &dyn Cancel) -> Result<Vec<Regio
 
 /// Cost of a refinement.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct RefinementCost {
     /// Triangles of the first cut.
     pub triangles: u64,

@@ -7,6 +7,7 @@ use std::collections::HashMap;
 
 /// The points of the mesh whose distance a vertex gets.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub enum DistanceOf {
     /// The vertex itself.
     Vertex,

@@ -71,18 +71,36 @@ const DERIVED_PLANES: u32 = 8;
 /// Extents of bricks that are read back at once.
 pub(crate) const TABLE_EXTENTS: usize = 1 << 20;
 
+/// Number of bins.
+const BINS: usize = 256;
+
 /// State of a histogram under construction.
 #[derive(Clone, Debug)]
+#[cfg_attr(
+    feature = "serde",
+    derive(serde::Serialize, serde::Deserialize),
+    serde(remote = "Self")
+)]
 pub struct HistogramWork {
     pass: Pass,
     range: [f32; 2],
+    #[cfg_attr(feature = "serde", serde(with = "crate::bulk"))]
     bins: Vec<u64>,
     pace: Pace,
     counted_samples: u64,
 }
 
+#[cfg(feature = "serde")]
+crate::checked_serde!(HistogramWork, |work| {
+    let is_usable = work.bins.len() == BINS && work.counted_samples > 0;
+    is_usable
+        .then_some(())
+        .ok_or("work on a histogram without bins or samples")
+});
+
 /// What the next launch does.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 enum Pass {
     /// Chooses the first pass, which depends on the feature.
     First,
@@ -101,7 +119,7 @@ impl Default for HistogramWork {
         Self {
             pass: Pass::First,
             range: [f32::INFINITY, f32::NEG_INFINITY],
-            bins: vec![0; 256],
+            bins: vec![0; BINS],
             pace: Pace::new(1, 1, 1),
             counted_samples: COUNTED_SAMPLES,
         }
@@ -391,7 +409,7 @@ impl Maker<'_> {
         let kernel = &self.cx.kernel(self.volume.sample_type, "histogram_bins")?;
         let all: [&dyn Arg; 3] = [&args, launch.samples(), &counters];
         self.cx.launch(STAGE, kernel, launch.groups(), BRICK_GROUP, &all)?;
-        for (bin, count) in work.bins.iter_mut().zip(self.cx.read(STAGE, &counters, 256)?) {
+        for (bin, count) in work.bins.iter_mut().zip(self.cx.read(STAGE, &counters, BINS)?) {
             *bin += u64::from(count);
         }
         Ok(())

@@ -55,6 +55,7 @@ const FLAT: f32 = 4.0 * f32::EPSILON;
 
 /// What stands for the samples of a block.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub enum OverviewMode {
     /// Their mean.
     Mean,
@@ -77,6 +78,11 @@ pub struct Overview {
 
 /// Blocks of an overview, and what stands for each.
 #[derive(Clone, Copy, Debug)]
+#[cfg_attr(
+    feature = "serde",
+    derive(serde::Serialize, serde::Deserialize),
+    serde(remote = "Self")
+)]
 struct Blocks {
     mode: OverviewMode,
     /// Samples of the volume along each axis.
@@ -89,6 +95,7 @@ struct Blocks {
 
 /// A part of an overview: one launch of some milliseconds.
 #[derive(Clone, Debug)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct OverviewPart {
     blocks: Blocks,
     slab: usize,
@@ -99,13 +106,20 @@ pub struct OverviewPart {
 
 /// Values of a part of an overview.
 #[derive(Debug)]
+#[cfg_attr(
+    feature = "serde",
+    derive(serde::Serialize, serde::Deserialize),
+    serde(remote = "Self")
+)]
 pub struct OverviewValues {
     /// Slab and row of the part.
     place: (usize, u32),
     /// The first block.
     first: usize,
     /// For each block the first sample with the sum of the scaled differences from it, or the maximum.
+    #[cfg_attr(feature = "serde", serde(with = "crate::bulk"))]
     values: Vec<[f32; 2]>,
+    #[cfg_attr(feature = "serde", serde(with = "crate::bulk"))]
     counts: Vec<u32>,
     /// The part that follows.
     next: Option<OverviewPart>,
@@ -121,7 +135,35 @@ pub struct OverviewWork {
     counts: Vec<u32>,
 }
 
+#[cfg(feature = "serde")]
+crate::checked_serde!(Blocks, Blocks::check);
+
+#[cfg(feature = "serde")]
+crate::checked_serde!(OverviewValues, |found| {
+    let is_usable = found.values.len() == found.counts.len();
+    is_usable
+        .then_some(())
+        .ok_or("more or fewer values of an overview than counts")
+});
+
 impl Blocks {
+    /// Checks that the blocks are those of the volume.
+    #[cfg(feature = "serde")]
+    fn check(&self) -> std::result::Result<(), &'static str> {
+        let count = self
+            .samples
+            .iter()
+            .try_fold(1u64, |count, &n| count.checked_mul(n.into()));
+        let is_usable = count.is_some_and(|count| count.checked_next_power_of_two().is_some())
+            && (0..3).all(|axis| {
+                let (samples, factor) = (self.samples[axis], self.factors[axis]);
+                (1..=samples).contains(&factor) && self.dims[axis] == samples.div_ceil(factor)
+            });
+        is_usable
+            .then_some(())
+            .ok_or("blocks of an overview that are not those of its volume")
+    }
+
     /// A power of two, with which no sum of a block's values overflows.
     fn scale(&self) -> f32 {
         let block: u64 = self.factors.iter().map(|&n| u64::from(n)).product();
@@ -245,7 +287,11 @@ pub fn values_of(cx: &Context, volume: &Volume, part: &OverviewPart) -> Result<O
     let depth = blocks.factors[2];
     // A block may lie in two slabs, each of which has some of its planes.
     let [first, end] = [planes.start / depth * height, planes.end.div_ceil(depth) * height];
-    let row = first + part.row;
+    let row = first.saturating_add(part.row);
+    if row >= end {
+        let why = format!("row {row}, expected one below {end}");
+        return Err(Error::Invalid { what: "overview", why });
+    }
     let max_rows = cx.limit_bytes / (u64::from(width) * size_of::<[f32; 2]>() as u64);
     let rows = part.pace.units().min(u64::from(end - row)).min(max_rows.max(1)) as u32;
     let count = rows * width;

@@ -7,6 +7,7 @@ use isopeel_kernels::DeviceInfo;
 use isopeel_kernels::check::CheckError;
 use isopeel_view::EditError;
 use isopeel_volumes::ReadError;
+use serde::{Deserialize, Serialize};
 
 use super::user_time::USER_TIME_PERIOD;
 
@@ -49,7 +50,7 @@ impl OpenError {
 }
 
 /// Why a piece of work has no result. Callers react differently to each variant.
-#[derive(Debug, thiserror::Error)]
+#[derive(Debug, thiserror::Error, Serialize, Deserialize)]
 #[non_exhaustive]
 pub enum WorkError {
     /// The queue is full: try again later.
@@ -151,10 +152,16 @@ pub enum WorkError {
     Device(isopeel_kernels::Error),
     /// The device could not be opened.
     #[error(transparent)]
-    NoDevice(Arc<OpenError>),
+    NoDevice(#[serde(with = "open_error")] Arc<OpenError>),
     /// The device was lost while this job ran. It is reopened; its data is loaded again on demand.
     #[error("the device was lost during this work, and is being reopened: try again")]
     DeviceLost,
+    /// The process that has the device ended twice while it did this work.
+    #[error("{what} has ended the process of the device twice, and is refused until the server is started again")]
+    EndsProcess {
+        /// The work, as an expression or a field of a volume.
+        what: String,
+    },
     /// The device was lost, and could not be reopened so far.
     #[error("the device was lost and could not be reopened yet: try again in a few seconds")]
     Reopening,
@@ -190,7 +197,12 @@ impl WorkError {
             Self::OverBudget { .. } | Self::OverBytes { .. } => "over-budget",
             Self::Edit(_) => "bad-edit",
             Self::NothingShown => "no-surface",
-            Self::Device(_) | Self::NoDevice(_) | Self::DeviceLost | Self::Reopening | Self::Stopped => "device",
+            Self::Device(_)
+            | Self::NoDevice(_)
+            | Self::DeviceLost
+            | Self::EndsProcess { .. }
+            | Self::Reopening
+            | Self::Stopped => "device",
             Self::Cancelled => "cancelled",
         }
     }
@@ -212,6 +224,7 @@ impl WorkError {
                 | Self::TookTooLong { .. }
                 | Self::UserTime { .. }
                 | Self::NoTree(_)
+                | Self::EndsProcess { .. }
         )
     }
 
@@ -234,6 +247,29 @@ impl WorkError {
             Self::OverBytes { triangles, .. } => Some(*triangles),
             _ => None,
         }
+    }
+}
+
+/// An error of opening a device, with the device's error or as its text.
+mod open_error {
+    use std::sync::Arc;
+
+    use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+    use super::OpenError;
+
+    /// Serialized as `Result<&Error, String>`.
+    pub fn serialize<S: Serializer>(error: &OpenError, serializer: S) -> Result<S::Ok, S::Error> {
+        let form = match error {
+            OpenError::Device(error) => Ok(error),
+            other => Err(other.to_string()),
+        };
+        form.serialize(serializer)
+    }
+
+    pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Arc<OpenError>, D::Error> {
+        let form = Result::<isopeel_kernels::Error, String>::deserialize(deserializer)?;
+        Ok(Arc::new(form.map_or_else(OpenError::Refused, OpenError::Device)))
     }
 }
 

@@ -31,7 +31,8 @@ impl HistogramCache {
         lock(&self.0).peek(key).cloned()
     }
 
-    pub(crate) fn insert(&self, key: HistogramKey, histogram: Histogram) {
+    /// Adds a histogram.
+    pub fn insert(&self, key: HistogramKey, histogram: Histogram) {
         lock(&self.0).insert(key, 1, histogram);
     }
 }

@@ -22,6 +22,11 @@ pub fn limit_host_memory(bytes: u64) {
     let _ = LIMIT.set(bytes);
 }
 
+/// Returns the limit of [`limit_host_memory`], if there is one.
+pub fn host_memory_limit() -> Option<u64> {
+    LIMIT.get().copied()
+}
+
 /// Gives unused pages of the allocator's heaps back to the system. Takes 10 to 15 ms for a hundred megabytes, during which allocations
 /// wait.
 pub fn trim_heaps() {

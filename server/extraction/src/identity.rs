@@ -10,14 +10,15 @@ use isopeel_view::quality::{
 };
 use isopeel_view::{CameraJson, ChosenPartsJson, FeatureName, InterestJson, TransferFunctionJson, View};
 use isopeel_volumes::VolumeStep;
+use serde::{Deserialize, Serialize};
 
 use super::keys::VolumeKey;
 
 /// Number of the last engine.
-static LAST_ENGINE: AtomicU64 = AtomicU64::new(0);
+pub(crate) static LAST_ENGINE: AtomicU64 = AtomicU64::new(0);
 
 /// Identity of an opened device: a device that was lost and reopened is another engine.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct EngineId(u64);
 
 impl EngineId {

@@ -1,12 +1,13 @@
 //! Why a piece of work on a workspace has no result, and what to do before the work is tried again.
 
 use isopeel_kernels::Error;
+use serde::{Deserialize, Serialize};
 
 use super::WorkError;
 use super::keys::{HistogramKey, VolumeKey};
 
 /// Why a piece of work ended without a result.
-#[derive(Debug)]
+#[derive(Debug, Serialize, Deserialize)]
 pub enum JobError {
     /// Not all fields that the work needs are resident: load them and try again.
     NotResident {
@@ -19,6 +20,8 @@ pub enum JobError {
     NeedsHistograms(Vec<HistogramKey>),
     /// The work takes longer than short work may: try again as long work.
     TakesLong,
+    /// The process that has the device ended before the work began: try again.
+    NotBegun,
     /// The work failed, and trying again would not help.
     Failed(WorkError),
 }
@@ -40,6 +43,7 @@ impl From<JobError> for WorkError {
     fn from(error: JobError) -> Self {
         match error {
             JobError::Failed(error) => error,
+            JobError::NotBegun => Self::DeviceLost,
             JobError::NotResident { .. } | JobError::NeedsHistograms(_) | JobError::TakesLong => Self::Stopped,
         }
     }

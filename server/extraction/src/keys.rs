@@ -1,6 +1,7 @@
 //! Keys of resident volumes and histograms.
 
 use isopeel_kernels::{DerivedFeature, ValueSet};
+use serde::{Deserialize, Serialize};
 
 use crate::fields;
 
@@ -14,7 +15,7 @@ use super::WorkError;
 pub const ALWAYS_DESCRIBED: &[DerivedFeature] = &[DerivedFeature::GradientMagnitude];
 
 /// Key of a volume: a field at a time step, as it is on the device.
-#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct VolumeKey {
     /// The time step and its revision.
     pub step: StepKey,
@@ -185,7 +186,7 @@ pub fn view_keys(volume: &VolumeStep, view: &View) -> Vec<VolumeKey> {
 }
 
 /// Key of a histogram: of a field, or of a feature that is computed from one field or from three.
-#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct HistogramKey {
     /// Key of the field; of a feature of three fields, the key of the first one.
     pub volume: VolumeKey,

@@ -80,13 +80,13 @@ pub use context::{JobContext, JobTimes, WaitingWork};
 pub use error::{OpenError, WorkError, chain};
 pub use grids::padded_grid;
 pub use histogram_cache::HistogramCache;
-pub use host_memory::{HostMemory, limit_host_memory, trim_heaps};
+pub use host_memory::{HostMemory, host_memory_limit, limit_host_memory, trim_heaps};
 pub use identity::{EngineId, FittedKey, SurfaceKey, ViewKey};
 pub use isopeel_kernels::lock;
 pub use job_error::JobError;
 pub use joined::{JoinError, Joined, WorldMesh, join};
 pub use keys::{ALWAYS_DESCRIBED, HistogramKey, Masking, VolumeKey, view_keys, with_inputs};
-pub use memory::{MemoryUse, WorkspaceMemory, resident_bytes};
+pub use memory::{MemoryUse, WorkspaceMemory, count_process, private_bytes, resident_bytes};
 pub use observer::Observer;
 pub use open_steps::{OpenStepGuard, OpenSteps};
 pub use pins::{Pinned, Pins};
@@ -104,6 +104,7 @@ pub use requests::{
 pub use residency::Lru;
 pub use results::{
     CutId, ExportWork, Extraction, FullCount, Making, Measurement, Measuring, Refinement, Refining, Shown, Step,
+    number_from,
 };
 pub use shares::PROCESSOR_BYTES;
 pub use slices::Slice;

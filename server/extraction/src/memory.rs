@@ -1,7 +1,9 @@
 //! Memory by purpose.
 
+use std::sync::atomic::{AtomicU32, Ordering};
+
 use isopeel_kernels::{DeviceKind, DeviceMemory};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// Use of memory, in bytes. If the device is this machine's processors, all of it is the process's own memory.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
@@ -31,7 +33,7 @@ pub struct MemoryUse {
 }
 
 /// Memory that a workspace accounts for, in bytes.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
 pub struct WorkspaceMemory {
     /// Memory that the engine has allocated.
     pub device: DeviceMemory,
@@ -47,9 +49,46 @@ pub struct WorkspaceMemory {
     pub program: u64,
 }
 
-/// Returns the bytes of physical memory that the process holds; 0 if the operating system does not report them.
+/// Another process of the same program, whose memory counts with that of this one; 0: there is none.
+static OTHER_PROCESS: AtomicU32 = AtomicU32::new(0);
+
+/// Counts the memory of another process of the same program with that of this one: the process that owns the device, or the server that
+/// has started this one. 0: there is no other process.
+pub fn count_process(id: u32) {
+    OTHER_PROCESS.store(id, Ordering::Relaxed);
+}
+
+/// Returns the bytes of physical memory that the process holds, with those of the process of [`count_process`]; 0 if the operating system
+/// does not report them.
 pub fn resident_bytes() -> u64 {
-    memory_stats::memory_stats().map_or(0, |memory| memory.physical_mem as u64)
+    let own = memory_stats::memory_stats().map_or(0, |memory| memory.physical_mem as u64);
+    let other = OTHER_PROCESS.load(Ordering::Relaxed);
+    own + if other == 0 { 0 } else { private_bytes(other) }
+}
+
+/// Returns the bytes of physical memory that a process does not share with others; 0 if the process has ended, or if the operating system
+/// does not report them.
+pub fn private_bytes(process: u32) -> u64 {
+    let Ok(text) = std::fs::read_to_string(format!("/proc/{process}/statm")) else {
+        return 0;
+    };
+    let mut pages = text.split(' ').skip(1).map_while(|pages| pages.parse::<u64>().ok());
+    let (Some(resident), Some(shared)) = (pages.next(), pages.next()) else {
+        return 0;
+    };
+    resident.saturating_sub(shared) * page_bytes()
+}
+
+#[cfg(unix)]
+fn page_bytes() -> u64 {
+    // SAFETY: a system call without pointers.
+    let bytes = unsafe { libc::sysconf(libc::_SC_PAGESIZE) };
+    u64::try_from(bytes).unwrap_or(4096)
+}
+
+#[cfg(not(unix))]
+fn page_bytes() -> u64 {
+    4096
 }
 
 impl WorkspaceMemory {

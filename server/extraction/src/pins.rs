@@ -1,6 +1,7 @@
 //! Pins keep volumes on the device. A pinned volume is not evicted, so two viewers of different volumes do not evict each other's volumes.
 
 use std::collections::HashMap;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 
 use isopeel_kernels::lock;
@@ -19,6 +20,8 @@ struct Shared {
     pinned: Mutex<HashMap<VolumeKey, (u64, usize)>>,
     /// Called after pins were released.
     on_release: Option<Box<dyn Fn() + Send + Sync>>,
+    /// Incremented when volumes were pinned or released.
+    changes: AtomicU64,
 }
 
 /// Guard that keeps volumes resident until it is dropped.
@@ -34,6 +37,7 @@ impl Pins {
             shared: Arc::new(Shared {
                 pinned: Mutex::default(),
                 on_release: Some(Box::new(on_release)),
+                changes: AtomicU64::default(),
             }),
         }
     }
@@ -53,10 +57,23 @@ impl Pins {
         for (key, bytes) in volumes {
             pinned.entry(key.clone()).or_insert((*bytes, 0)).1 += 1;
         }
+        self.shared.changes.fetch_add(1, Ordering::Relaxed);
         Some(Pinned {
             shared: Arc::clone(&self.shared),
             keys: volumes.iter().map(|(key, _)| key.clone()).collect(),
         })
+    }
+
+    /// Returns the pinned volumes if they have changed since `changes` was returned, with a number for the next call.
+    pub fn changed_since(&self, changes: Option<u64>) -> Option<(Vec<VolumeKey>, u64)> {
+        let pinned = lock(&self.shared.pinned);
+        let now = self.shared.changes.load(Ordering::Relaxed);
+        (changes != Some(now)).then(|| (pinned.keys().cloned().collect(), now))
+    }
+
+    /// Replaces the pinned volumes by those of another process.
+    pub fn replace(&self, keys: Vec<VolumeKey>) {
+        *lock(&self.shared.pinned) = keys.into_iter().map(|key| (key, (0, 1))).collect();
     }
 
     /// Whether a volume is pinned.
@@ -76,6 +93,7 @@ impl Drop for Pinned {
                 }
             }
         }
+        self.shared.changes.fetch_add(1, Ordering::Relaxed);
         drop(pinned);
         if let Some(on_release) = &self.shared.on_release {
             on_release();
@@ -85,7 +103,7 @@ impl Drop for Pinned {
 
 #[cfg(test)]
 mod tests {
-    use std::sync::atomic::{AtomicUsize, Ordering};
+    use std::sync::atomic::AtomicUsize;
 
     use isopeel_volumes::{VolumeStep, testing};
 

@@ -11,6 +11,7 @@ use isopeel_kernels::{
 };
 use isopeel_view::View;
 use isopeel_volumes::VolumeStep;
+use serde::{Deserialize, Serialize};
 
 use super::context::JobContext;
 use super::decisions::{TreeCut, TreeMaking};
@@ -31,7 +32,7 @@ const _: () = assert!(CURVE_POINTS == 32 && MAX_BINS == 256, "PROTOCOL.md says s
 const FACE_CELLS: f64 = 1e-3;
 
 /// A question about a surface.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Question {
     /// Which values and which surface are at this position of the world?
     Probe([f64; 3]),
@@ -44,7 +45,7 @@ pub enum Question {
 }
 
 /// The surface that a question is about.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct ShownSurface {
     /// The view.
     pub view: View,

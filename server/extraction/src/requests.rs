@@ -1,4 +1,4 @@
-//! Requests to a workspace, as data: they can be queued, logged, ordered and repeated. Each has a type of its own, with the type of its
+//! Requests to a workspace, as data: they can be queued, logged, ordered, repeated, and sent to another process. Each has a type of its own, with the type of its
 //! reply.
 
 mod fields;
@@ -8,6 +8,7 @@ mod surfaces;
 use isopeel_kernels::{Histogram, HistogramWork, OverviewValues, Samples};
 use isopeel_view::View;
 use isopeel_volumes::VolumeStep;
+use serde::{Deserialize, Serialize};
 
 use super::context::JobContext;
 use super::job_error::JobError;
@@ -40,6 +41,7 @@ pub trait VolumeRequest: Request + Clone {
 macro_rules! requests {
     ($($name:ident -> $reply:ty),* $(,)?) => {
         /// Any request.
+        #[derive(Serialize, Deserialize)]
         pub enum DeviceRequest {
             $(
                 #[doc = concat!("See [`", stringify!($name), "`].")]
@@ -48,12 +50,17 @@ macro_rules! requests {
         }
 
         /// The reply to any request.
+        #[derive(Serialize, Deserialize)]
         pub enum DeviceReply {
             $(
                 #[doc = concat!("The reply to [`", stringify!($name), "`].")]
                 $name($reply),
             )*
         }
+
+        /// Names of all requests.
+        #[cfg(test)]
+        const NAMES: &[&str] = &[$(stringify!($name)),*];
 
         impl DeviceRequest {
             /// Returns the name of the request's type.
@@ -143,3 +150,6 @@ volume_requests! {
     Resolve, Prepare, Count, Refine, Improve, Measure, Extract, Ask, UseField, Compute, UseHistogramFields,
     ContinueHistogram, ContinueOverview, ReadSamples, ReadSlice,
 }
+
+#[cfg(test)]
+mod tests;

@@ -6,13 +6,15 @@ use std::time::Duration;
 use isopeel_kernels::{Level, RefinementCost, StageTime, Surface, SurfaceStatistics};
 use isopeel_view::View;
 use isopeel_volumes::VolumeStep;
+use serde::{Deserialize, Serialize};
 
 use super::dataset_views::view_space;
+use super::identity::LAST_ENGINE;
 use super::joined::{JoinError, WorldMesh};
 use super::{ExtractionStatistics, MeasuredError};
 
 /// A surface and its view.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Extraction {
     /// The surface.
     pub surface: Surface,
@@ -59,7 +61,7 @@ pub struct ExportWork {
 }
 
 /// How a final surface is made.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Making {
     /// Maximum triangles.
     pub ceiling: u64,
@@ -81,7 +83,7 @@ impl Default for Making {
 }
 
 /// Places at which a cut of the vertex tree is refined if triangles intersect.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Refining {
     /// Nowhere.
     Never,
@@ -106,8 +108,15 @@ pub enum Measuring {
 /// reopened.
 static LAST_CUT: AtomicU64 = AtomicU64::new(0);
 
+/// Makes the numbers of engines and cuts begin after `last`, so that they differ from those of an earlier process. Call this once, before
+/// any work.
+pub fn number_from(last: u64) {
+    LAST_ENGINE.store(last, Ordering::Relaxed);
+    LAST_CUT.store(last, Ordering::Relaxed);
+}
+
 /// Id of a cut that the workspace caches: the cut that a client shows, or its target.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct CutId(u64);
 
 impl CutId {
@@ -123,7 +132,7 @@ impl CutId {
 }
 
 /// A step on the way from the surface that a client shows to that of its view.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Step {
     /// The surface that the client shows.
     pub shown: Shown,
@@ -142,7 +151,7 @@ pub struct Step {
 }
 
 /// The surface that a client shows when a step begins.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Shown {
     /// Nothing, or a surface of another volume, time step, field, mask or isovalue. A coarse surface may replace it.
     Another,
@@ -162,7 +171,7 @@ impl Shown {
 }
 
 /// Result of a step.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Refinement {
     /// The surface, or the regions in which it differs from the shown surface. The stages in its statistics are those of this step.
     pub surface: Surface,
@@ -204,7 +213,7 @@ impl Refinement {
 }
 
 /// Counts for a full surface, from before any of it is made.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct FullCount {
     /// Triangles of the full surface, including those of small parts.
     pub triangles: u64,
@@ -215,7 +224,7 @@ pub struct FullCount {
 }
 
 /// Measured distance of a final surface from the undecimated one.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Measurement {
     /// Error of the whole surface, world units.
     pub whole: MeasuredError,

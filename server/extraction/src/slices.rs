@@ -2,8 +2,9 @@
 
 use std::ops::Range;
 
-use isopeel_kernels::{SampleType, Samples};
+use isopeel_kernels::{SampleType, Samples, bulk};
 use isopeel_volumes::VolumeStep;
+use serde::{Deserialize, Serialize};
 
 use super::WorkError;
 use super::job_error::JobError;
@@ -11,11 +12,12 @@ use super::keys::VolumeKey;
 use super::workspace::Workspace;
 
 /// A plane of samples.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Slice {
     /// Type of the samples.
     pub sample_type: SampleType,
     /// Little-endian, the lower of the plane's axes fastest.
+    #[serde(with = "bulk")]
     pub bytes: Vec<u8>,
 }
 

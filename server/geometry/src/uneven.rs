@@ -3,10 +3,11 @@
 use std::sync::Arc;
 
 use glam::{DAffine3, DVec3};
+use serde::{Deserialize, Serialize};
 
 /// Uneven axes of a grid. Positions are *even coordinates*: in an even grid with the same ends and number of samples, a sample's even
 /// coordinate is its index.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct UnevenAxes {
     /// Even coordinate of each sample along x, y and z, ascending; empty for an even axis.
     axes: [Vec<f64>; 3],

@@ -1,11 +1,15 @@
 //! Why an edit is refused.
 
+use isopeel_kernels::interned::{self, StaticText};
+use serde::{Deserialize, Serialize};
+
 /// Why an edit cannot be applied.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error, Serialize, Deserialize)]
 #[error("{field}: {why}")]
 pub struct EditError {
     /// Name of the field in JSON.
-    pub field: &'static str,
+    #[serde(deserialize_with = "interned::deserialize")]
+    pub field: StaticText,
     /// What was found and what was expected.
     pub why: String,
 }

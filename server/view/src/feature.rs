@@ -2,11 +2,13 @@
 
 use isopeel_kernels::{DerivedFeature, VectorFeature};
 
+use serde::{Deserialize, Serialize};
+
 use super::error::{EditError, quoted};
 use super::expression::FieldExpression;
 
 /// The feature that importance depends on in addition to smoothness.
-#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum FeatureName {
     /// No feature.
     None,
@@ -19,7 +21,7 @@ pub enum FeatureName {
 }
 
 /// A feature of a vector field by its components: `divergence(u,v,w)`.
-#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct VectorName {
     /// Kind of feature.
     pub feature: VectorFeature,

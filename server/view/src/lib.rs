@@ -1,5 +1,6 @@
 //! Requests of users. A [`View`] is everything that decides a surface; an [`Edit`] is any part of a view, as JSON.
 
+mod binary;
 mod camera;
 mod chosen_parts;
 mod edit;
@@ -20,6 +21,8 @@ mod transfer_function;
 use isopeel_geometry::IndexSpace;
 use isopeel_kernels::{CutParams, DerivedFeature, Histogram, Isovalue, Level, MAX_LEVEL, Topology};
 
+use serde::{Deserialize, Serialize};
+
 pub use camera::{CameraJson, Detail, Projection};
 pub use chosen_parts::{ChosenPartsJson, parse_position};
 pub use edit::Edit;
@@ -39,7 +42,9 @@ use quality::{
 
 /// Everything that decides a surface of one dataset. Every value is in its range; `None` stands for a value that depends on the data
 /// and that [`View::resolve`] fills in.
-#[derive(Clone, Debug, PartialEq)]
+///
+/// Serialized for binary formats: its JSON is an [`Edit`].
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct View {
     /// Isovalue in the field's units; `None`: chosen from the field's histogram.
     pub iso: Option<Isovalue>,
@@ -56,8 +61,10 @@ pub struct View {
     /// Importance up to which a cube is decimated. Used only if there is neither an error nor a budget.
     pub beta: f32,
     /// Instead of `beta`: a part is merged up to this error divided by the part's weight.
+    #[serde(with = "binary")]
     pub error: Option<ErrorLimit>,
     /// Maximum size of the surface, instead of `beta`. If there is an error too, the greater tolerance of both decides.
+    #[serde(with = "binary")]
     pub budget: Option<Budget>,
     /// Minimum area of a part of the surface, in world units. Smaller parts are removed before the surface is cut. 0: no part is removed.
     /// Above 0 only if an error or a budget decides.
@@ -67,6 +74,7 @@ pub struct View {
     /// The threshold that keeps the budget. It is computed when the surface is made, and dropped at the next edit.
     pub fitted: Option<Fitted>,
     /// Guard on the error.
+    #[serde(with = "binary")]
     pub max_error: MaxError,
     /// Guard on the topology.
     pub topology: TopologyName,
@@ -79,10 +87,12 @@ pub struct View {
     /// Control points as in the edit, colours included.
     pub transfer_function: TransferFunctionJson,
     /// Regions of interest, in which importance is raised.
+    #[serde(with = "binary")]
     pub interest: Vec<InterestJson>,
     /// Whether the surface follows the camera.
     pub detail: Detail,
     /// Camera for which the surface is made.
+    #[serde(with = "binary")]
     pub camera: Option<Box<CameraJson>>,
 }
 

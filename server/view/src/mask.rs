@@ -2,8 +2,8 @@
 
 use std::hash::{Hash, Hasher};
 
-use isopeel_kernels::ValueSet;
-use serde::{Deserialize, Deserializer};
+use isopeel_kernels::{ValueSet, checked_serde};
+use serde::{Deserialize, Deserializer, Serialize};
 
 use super::error::{EditError, quoted};
 
@@ -21,7 +21,7 @@ const OPERATORS: [(&str, Operator); 6] = [
 const MAX_RANGES: usize = 64;
 
 /// How values are compared.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub(super) enum Operator {
     Is,
     IsNot,
@@ -32,7 +32,8 @@ pub(super) enum Operator {
 }
 
 /// Restricts a surface to samples at which a field of the same volume has these values. Missing samples are outside every mask.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(remote = "Self")]
 pub struct Mask {
     /// The field.
     pub field: String,
@@ -44,6 +45,11 @@ pub struct Mask {
     integers: Vec<[Option<i128>; 2]>,
     text: String,
 }
+
+checked_serde!(Mask, |mask| {
+    let is_usable = !mask.ranges.is_empty() && mask.ranges.iter().flatten().all(|end| end.is_finite());
+    is_usable.then_some(()).ok_or("a mask without finite numbers")
+});
 
 // Equality is total, because no number is NaN.
 impl Eq for Mask {}

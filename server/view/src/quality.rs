@@ -397,7 +397,7 @@ pub enum Budget {
 }
 
 /// The result of fitting a surface to a budget.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Fitted {
     /// Tolerance in force, in smallest spacings; for marching cubes β. Below 0 nothing is decimated.
     pub threshold: f32,

@@ -1,7 +1,9 @@
 //! Meaning of the positions along the axes of a volume, as its file states it: longitudes, depths.
 
+use serde::{Deserialize, Serialize};
+
 /// Kind of the positions along an axis.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum AxisKind {
     /// Degrees east.
     Longitude,
@@ -32,7 +34,7 @@ impl AxisKind {
 }
 
 /// Positions along one axis of a volume.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct AxisScale {
     /// Its name in the file.
     pub name: String,

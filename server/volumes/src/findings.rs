@@ -4,6 +4,8 @@ use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
 use super::{Notices, ReadError};
 
 /// What has been found in a field's samples so far. Clones share it.
@@ -98,6 +100,22 @@ pub struct LabelRanks {
     missing: Option<i128>,
 }
 
+impl Serialize for LabelRanks {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        (&self.values, self.missing).serialize(serializer)
+    }
+}
+
+impl<'de> Deserialize<'de> for LabelRanks {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let (values, missing) = <(Vec<i128>, Option<i128>)>::deserialize(deserializer)?;
+        if values.is_empty() || !values.is_sorted_by(|a, b| a < b) {
+            return Err(serde::de::Error::custom("labels that do not ascend"));
+        }
+        Ok(Self::ordered(values, missing))
+    }
+}
+
 impl LabelRanks {
     /// Ranks all `values`, except the one that equals the value `missing` as a float.
     pub(super) fn new(mut values: BTreeSet<i128>, missing: Option<f32>) -> Self {
@@ -107,7 +125,11 @@ impl LabelRanks {
         if let Some(missing) = missing {
             values.remove(&missing);
         }
-        let values: Vec<i128> = values.into_iter().collect();
+        Self::ordered(values.into_iter().collect(), missing)
+    }
+
+    /// Ranks values that ascend.
+    fn ordered(values: Vec<i128>, missing: Option<i128>) -> Self {
         let (zero, has_zero) = match values.binary_search(&0) {
             Ok(at) => (at as i64, true),
             Err(at) => (at as i64 - 1, false),

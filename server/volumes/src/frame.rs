@@ -2,10 +2,12 @@
 
 use std::str::FromStr;
 
+use serde::{Deserialize, Serialize};
+
 use super::Geometry;
 
 /// Directions of the world's axes.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Frame {
     /// Axes of a patient: to the left, to the back (posterior), to the head (superior); as in DICOM and ITK.
     Lps,
@@ -73,7 +75,7 @@ fn half_turn([x, y, z]: [f64; 3]) -> [f64; 3] {
 }
 
 /// Unit of lengths in the world.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[expect(missing_docs, reason = "names of units")]
 pub enum LengthUnit {
     Angstrom,

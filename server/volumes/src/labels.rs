@@ -1,10 +1,12 @@
 //! Names and colours of labels, for files that have them.
 
+use serde::{Deserialize, Serialize};
+
 /// Labels of a field that are kept. Files with more are read, and their names are left out beyond this number.
 pub const MAX_LABELS: usize = 4096;
 
 /// What a value of a field of labels means.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Label {
     /// Value in the file.
     pub value: i128,

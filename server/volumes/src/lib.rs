@@ -12,6 +12,7 @@
 //! - `rectilinear`: uneven positions, and samples interpolated onto an even grid.
 //! - [`open`]: makes a dataset of a file or a folder; `numbered`: files that are time steps.
 //! - [`catalog`], [`demo`]: the datasets of a server; [`private`]: volumes of single users; [`watch`]: updates them when files change.
+//! - `described`: a dataset that is sent to another process, without its samples; `json`: the JSON in it.
 //! - [`memory_dataset`]: a dataset of samples in memory.
 //! - `turned`: samples that are stored in another order than x fastest.
 //! - [`TimeAxis`]: times of the steps. [`InputIdentity`]: identity of the files that steps are read from, to detect changes.
@@ -25,11 +26,13 @@ mod codec;
 mod conversion;
 mod decode;
 pub mod demo;
+mod described;
 pub mod disk;
 mod findings;
 pub mod formats;
 mod frame;
 mod identity;
+mod json;
 mod labels;
 pub mod location;
 mod memory;
@@ -60,6 +63,8 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use isopeel_geometry::{DAffine3, DVec3, IndexSpace, UnevenAxes};
+use isopeel_kernels::interned::{self, StaticText};
+use serde::{Deserialize, Serialize};
 
 pub use axis_scales::{AxisKind, AxisScale, AxisScales};
 pub use beneath::follow_links;
@@ -82,14 +87,16 @@ pub use step::{DatasetKey, StepKey, UnknownStep, VolumeStep};
 pub use times::TimeAxis;
 
 /// A dataset: fields that share one grid.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(remote = "Self")]
 pub struct Dataset {
     /// Stable name in URLs: `[a-z0-9-]+`, unique in the catalog.
     pub id: String,
     /// Name for people.
     pub title: String,
     /// Layout of the samples in files, for display: `file`, `numbered steps`.
-    pub layout: &'static str,
+    #[serde(deserialize_with = "interned::deserialize")]
+    pub layout: StaticText,
     /// Grid that all fields share.
     pub geometry: Geometry,
     /// Time steps, at least 1.
@@ -109,6 +116,7 @@ pub struct Dataset {
     /// Copyright, source, and what readers repaired or assumed when they read headers, to show beside the data.
     pub notices: Notices,
     /// Edit that viewers open with, as JSON of the protocol; `None`: the defaults.
+    #[serde(with = "json")]
     pub opening: Option<serde_json::Value>,
 }
 
@@ -210,7 +218,8 @@ impl Dataset {
 }
 
 /// Position of the samples in the world.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(remote = "Self")]
 pub struct Geometry {
     /// Samples along x (fastest), y, z; at least 2 each.
     pub dims: [u32; 3],
@@ -317,7 +326,7 @@ impl Geometry {
 }
 
 /// One field of a dataset.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Field {
     /// Name, unique in its dataset: the file's stem, or the name inside the file.
     pub name: String,
@@ -334,6 +343,7 @@ pub struct Field {
     /// Whether the file says that the values are labels, whatever they are called.
     pub declares_labels: bool,
     /// Reads the samples.
+    #[serde(with = "described::source")]
     pub source: Arc<dyn Source>,
 }
 

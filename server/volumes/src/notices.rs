@@ -2,13 +2,15 @@
 
 use std::path::Path;
 
+use serde::{Deserialize, Serialize};
+
 /// Maximum number of texts. More of one kind would add no information.
 const MAX_TEXTS: usize = 16;
 
 /// Sentences about a volume, each once, in the order in which they were found.
 ///
 /// Each repair or assumption of a reader adds one. Users see them in the list of volumes, in descriptions, in the viewer and in exports.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Notices {
     texts: Vec<String>,
     /// Number of further texts.

@@ -2,13 +2,16 @@
 
 use std::path::{Path, PathBuf};
 
+use serde::{Deserialize, Serialize};
+
 use crate::disk;
 
 /// What is wrong with a file: which file, which field of it, what was found and what was expected.
-#[derive(Debug, thiserror::Error)]
+#[derive(Debug, thiserror::Error, Serialize, Deserialize)]
 #[error("{}: {field}: {why}", path.display())]
 pub struct ReadError {
     /// File at fault.
+    #[serde(with = "path_bytes")]
     pub path: PathBuf,
     /// Field of its header, or `data`.
     pub field: String,
@@ -18,6 +21,7 @@ pub struct ReadError {
     pub can_retry: bool,
     /// The cause, if there is one.
     #[source]
+    #[serde(with = "cause")]
     pub source: Option<std::io::Error>,
 }
 
@@ -82,5 +86,44 @@ impl ReadError {
             source: Some(source),
             ..Self::new(path, field, why)
         }
+    }
+}
+
+/// A path as its bytes, which need not be Unicode.
+mod path_bytes {
+    use std::ffi::OsString;
+    use std::os::unix::ffi::{OsStrExt, OsStringExt};
+    use std::path::{Path, PathBuf};
+
+    use serde::{Deserialize, Deserializer, Serializer};
+
+    pub fn serialize<S: Serializer>(path: &Path, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_seq(path.as_os_str().as_bytes())
+    }
+
+    pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<PathBuf, D::Error> {
+        Ok(OsString::from_vec(Vec::deserialize(deserializer)?).into())
+    }
+}
+
+/// A cause as its text, and whether it is that of a full disk.
+mod cause {
+    use std::io;
+
+    use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+    use crate::disk;
+
+    pub fn serialize<S: Serializer>(cause: &Option<io::Error>, serializer: S) -> Result<S::Ok, S::Error> {
+        let form = cause.as_ref().map(|error| (error.to_string(), disk::is_full(error)));
+        form.serialize(serializer)
+    }
+
+    pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<io::Error>, D::Error> {
+        let form = Option::<(String, bool)>::deserialize(deserializer)?;
+        Ok(form.map(|(text, is_full)| match is_full {
+            true => io::Error::new(io::ErrorKind::StorageFull, text),
+            false => io::Error::other(text),
+        }))
     }
 }

@@ -2,14 +2,22 @@
 
 use std::sync::Arc;
 
+use serde::{Deserialize, Serialize};
+
 use super::Dataset;
 
 /// One time step of a dataset.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(remote = "Self")]
 pub struct VolumeStep {
     dataset: Arc<Dataset>,
     step: u32,
 }
+
+isopeel_kernels::checked_serde!(VolumeStep, |volume| VolumeStep::new(
+    volume.dataset.clone(),
+    volume.step
+));
 
 impl VolumeStep {
     /// # Errors
@@ -46,7 +54,7 @@ impl VolumeStep {
 }
 
 /// Identity of a dataset: two with one key have the same grid and the same fields.
-#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct DatasetKey {
     /// Its id.
     pub id: String,
@@ -55,7 +63,7 @@ pub struct DatasetKey {
 }
 
 /// Identity of the samples of one time step: two with one key have the same samples in every field.
-#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct StepKey {
     /// Key of the dataset.
     pub dataset: DatasetKey,

@@ -1,12 +1,13 @@
 //! Answers to questions about a surface, as they go to clients.
 
-use isopeel_kernels::Region;
-use serde::Serialize;
+use isopeel_kernels::{Region, bulk};
+use serde::ser::SerializeStruct;
+use serde::{Deserialize, Serialize, Serializer};
 
 use crate::statistics::in_world;
 
 /// The answer to a [`Question`](super::Question).
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Answer {
     /// Answer to [`Question::Probe`](super::Question::Probe).
     Probe(Probe),
@@ -19,16 +20,17 @@ pub enum Answer {
 }
 
 /// Distances of the vertices of a region to the isosurface, world units; infinite if it is not near.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct VertexErrors {
     /// The region, as it was made.
     pub region: Region,
     /// Distance of each vertex of the region.
+    #[serde(with = "bulk")]
     pub distances: Vec<f32>,
 }
 
 /// What the leaves of a surface are.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "typescript", derive(ts_rs::TS))]
 #[serde(rename_all = "kebab-case")]
 pub enum LeafKind {
@@ -39,7 +41,7 @@ pub enum LeafKind {
 }
 
 /// Why there is no value.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "typescript", derive(ts_rs::TS))]
 #[serde(rename_all = "kebab-case")]
 pub enum NoValue {
@@ -50,7 +52,7 @@ pub enum NoValue {
 }
 
 /// A field at a position.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Deserialize)]
 #[cfg_attr(feature = "typescript", derive(ts_rs::TS))]
 #[serde(rename_all = "camelCase")]
 pub struct FieldValue {
@@ -60,12 +62,25 @@ pub struct FieldValue {
     pub value: Option<f32>,
     /// Why there is no value.
     #[cfg_attr(feature = "typescript", ts(optional))]
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub why: Option<NoValue>,
 }
 
+impl Serialize for FieldValue {
+    /// Leaves out `why` in JSON if there is a value. Binary formats cannot read a struct that lacks a field.
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let has_why = self.why.is_some() || !serializer.is_human_readable();
+        let mut fields = serializer.serialize_struct("FieldValue", 2 + usize::from(has_why))?;
+        fields.serialize_field("field", &self.field)?;
+        fields.serialize_field("value", &self.value)?;
+        if has_why {
+            fields.serialize_field("why", &self.why)?;
+        }
+        fields.end()
+    }
+}
+
 /// The leaf that stands for a part of the surface.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "typescript", derive(ts_rs::TS))]
 #[serde(rename_all = "camelCase")]
 pub struct NearestLeaf {
@@ -78,7 +93,7 @@ pub struct NearestLeaf {
 }
 
 /// The full surface's vertex that is nearest to a position.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "typescript", derive(ts_rs::TS))]
 #[serde(rename_all = "camelCase")]
 pub struct NearestSurface {
@@ -103,7 +118,7 @@ pub struct NearestSurface {
 }
 
 /// What is at a position.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "typescript", derive(ts_rs::TS))]
 #[serde(rename_all = "camelCase")]
 pub struct Probe {
@@ -118,7 +133,7 @@ pub struct Probe {
 }
 
 /// Distribution of the blended feature over a surface: each vertex of the full surface counts once, with the leaf that stands for it.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "typescript", derive(ts_rs::TS))]
 #[serde(rename_all = "camelCase")]
 pub struct Distribution {
@@ -133,7 +148,7 @@ pub struct Distribution {
 }
 
 /// A cut of a curve.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "typescript", derive(ts_rs::TS))]
 #[serde(rename_all = "camelCase")]
 pub struct CurvePoint {
@@ -146,7 +161,7 @@ pub struct CurvePoint {
 }
 
 /// How the estimated error grows as triangles get fewer.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "typescript", derive(ts_rs::TS))]
 #[serde(rename_all = "camelCase")]
 pub struct Curve {

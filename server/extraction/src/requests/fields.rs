@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use isopeel_kernels::{RectilinearGrid, SampleType, Samples};
 use isopeel_volumes::{StepKey, VolumeStep};
+use serde::{Deserialize, Serialize};
 
 use crate::context::JobContext;
 use crate::grids::padded_grid;
@@ -14,13 +15,14 @@ use crate::workspace::Workspace;
 type Context<'a, 'b> = &'a mut JobContext<'b, Workspace>;
 
 /// Asks which fields are resident.
+#[derive(Serialize, Deserialize)]
 pub struct FindResident {
     /// The fields.
     pub keys: Vec<VolumeKey>,
 }
 
 /// Marks a field as used. See [`Workspace::use_field`].
-#[derive(Clone)]
+#[derive(Clone, Serialize, Deserialize)]
 pub struct UseField {
     /// The volume.
     pub volume: VolumeStep,
@@ -29,7 +31,7 @@ pub struct UseField {
 }
 
 /// Computes a field from others. See [`Workspace::compute`].
-#[derive(Clone)]
+#[derive(Clone, Serialize, Deserialize)]
 pub struct Compute {
     /// The volume.
     pub volume: VolumeStep,
@@ -41,6 +43,7 @@ pub struct Compute {
 
 /// Begins the upload of a field. The reply says whether there is space for it, which only a field that is read ahead can lack. See
 /// [`Workspace::begin_upload`] and [`Workspace::begin_upload_ahead`].
+#[derive(Serialize, Deserialize)]
 pub struct BeginUpload {
     /// The field.
     pub key: VolumeKey,
@@ -55,6 +58,7 @@ pub struct BeginUpload {
 }
 
 /// Sends the next samples of a field. See [`Workspace::continue_upload`].
+#[derive(Serialize, Deserialize)]
 pub struct ContinueUpload {
     /// The field.
     pub key: VolumeKey,
@@ -63,13 +67,14 @@ pub struct ContinueUpload {
 }
 
 /// Makes the next part of a field's table of minima and maxima. See [`Workspace::continue_table`].
-#[derive(Clone)]
+#[derive(Clone, Serialize, Deserialize)]
 pub struct ContinueTable {
     /// The field.
     pub key: VolumeKey,
 }
 
 /// Makes an uploaded field resident. See [`Workspace::finish_upload`].
+#[derive(Serialize, Deserialize)]
 pub struct FinishUpload {
     /// The field.
     pub key: VolumeKey,
@@ -78,6 +83,7 @@ pub struct FinishUpload {
 }
 
 /// Frees the partial upload of a field. See [`Workspace::drop_upload`].
+#[derive(Serialize, Deserialize)]
 pub struct DropUpload {
     /// The field.
     pub key: VolumeKey,
@@ -85,6 +91,7 @@ pub struct DropUpload {
 
 /// Makes space for a field that is to be read ahead. The reply is false if the field is resident already, or if there is no space. See
 /// [`Workspace::make_space_ahead`].
+#[derive(Serialize, Deserialize)]
 pub struct MakeSpaceAhead {
     /// The volume.
     pub volume: VolumeStep,
@@ -95,12 +102,14 @@ pub struct MakeSpaceAhead {
 }
 
 /// Makes sure that the host has this much free memory. See [`Workspace::make_host_space`].
+#[derive(Serialize, Deserialize)]
 pub struct MakeHostSpace {
     /// Bytes that are needed.
     pub bytes: u64,
 }
 
 /// Frees the data of a time step. See [`Workspace::release`].
+#[derive(Serialize, Deserialize)]
 pub struct Release {
     /// The step.
     pub step: StepKey,

@@ -4,6 +4,7 @@ use std::ops::Range;
 
 use isopeel_kernels::{Histogram, HistogramWork, OverviewPart, OverviewValues, Samples};
 use isopeel_volumes::VolumeStep;
+use serde::{Deserialize, Serialize};
 
 use crate::context::JobContext;
 use crate::job_error::JobError;
@@ -14,7 +15,7 @@ use crate::workspace::Workspace;
 type Context<'a, 'b> = &'a mut JobContext<'b, Workspace>;
 
 /// Marks the fields of which a histogram is made as used. See [`Workspace::use_histogram_fields`].
-#[derive(Clone)]
+#[derive(Clone, Serialize, Deserialize)]
 pub struct UseHistogramFields {
     /// The volume.
     pub volume: VolumeStep,
@@ -24,7 +25,7 @@ pub struct UseHistogramFields {
 
 /// Runs the next slice of the work on a histogram. The reply is the remaining work, and the histogram if it is complete. See
 /// [`Workspace::continue_histogram`].
-#[derive(Clone)]
+#[derive(Clone, Serialize, Deserialize)]
 pub struct ContinueHistogram {
     /// The volume.
     pub volume: VolumeStep,
@@ -35,7 +36,7 @@ pub struct ContinueHistogram {
 }
 
 /// Computes the values of a part of an overview. See [`Workspace::overview_values`].
-#[derive(Clone)]
+#[derive(Clone, Serialize, Deserialize)]
 pub struct ContinueOverview {
     /// The volume.
     pub volume: VolumeStep,
@@ -46,7 +47,7 @@ pub struct ContinueOverview {
 }
 
 /// Reads planes across z. See [`Workspace::samples`].
-#[derive(Clone)]
+#[derive(Clone, Serialize, Deserialize)]
 pub struct ReadSamples {
     /// The volume.
     pub volume: VolumeStep,
@@ -57,7 +58,7 @@ pub struct ReadSamples {
 }
 
 /// Reads a plane across any axis. See [`Workspace::slice`].
-#[derive(Clone)]
+#[derive(Clone, Serialize, Deserialize)]
 pub struct ReadSlice {
     /// The volume.
     pub volume: VolumeStep,
@@ -70,6 +71,7 @@ pub struct ReadSlice {
 }
 
 /// Asks whether the device answers.
+#[derive(Serialize, Deserialize)]
 pub struct CheckAnswers;
 
 impl UseHistogramFields {

@@ -2,6 +2,7 @@
 
 use isopeel_view::View;
 use isopeel_volumes::VolumeStep;
+use serde::{Deserialize, Serialize};
 
 use crate::context::JobContext;
 use crate::job_error::JobError;
@@ -12,7 +13,7 @@ use crate::workspace::Workspace;
 type Context<'a, 'b> = &'a mut JobContext<'b, Workspace>;
 
 /// Fills in the values that depend on the data: the default isovalue and the feature's own range. See [`Workspace::resolve`].
-#[derive(Clone)]
+#[derive(Clone, Serialize, Deserialize)]
 pub struct Resolve {
     /// The volume.
     pub volume: VolumeStep,
@@ -21,7 +22,7 @@ pub struct Resolve {
 }
 
 /// Resolves a view, and marks as used the fields of which its surface is made. See [`Workspace::prepare`].
-#[derive(Clone)]
+#[derive(Clone, Serialize, Deserialize)]
 pub struct Prepare {
     /// The volume.
     pub volume: VolumeStep,
@@ -30,7 +31,7 @@ pub struct Prepare {
 }
 
 /// Counts the triangles of the full surface. See [`Workspace::count`].
-#[derive(Clone)]
+#[derive(Clone, Serialize, Deserialize)]
 pub struct Count {
     /// The volume.
     pub volume: VolumeStep,
@@ -39,7 +40,7 @@ pub struct Count {
 }
 
 /// Makes a step from the surface that a client shows to that of a view. See [`Workspace::refine`].
-#[derive(Clone)]
+#[derive(Clone, Serialize, Deserialize)]
 pub struct Refine {
     /// The volume.
     pub volume: VolumeStep,
@@ -52,7 +53,7 @@ pub struct Refine {
 }
 
 /// Makes the final surface as a cut of the vertex tree. See [`Workspace::improve`].
-#[derive(Clone)]
+#[derive(Clone, Serialize, Deserialize)]
 pub struct Improve {
     /// The volume.
     pub volume: VolumeStep,
@@ -63,7 +64,7 @@ pub struct Improve {
 }
 
 /// Measures how far the final surface of a view is from the undecimated one. See [`Workspace::measure`].
-#[derive(Clone)]
+#[derive(Clone, Serialize, Deserialize)]
 pub struct Measure {
     /// The volume.
     pub volume: VolumeStep,
@@ -72,7 +73,7 @@ pub struct Measure {
 }
 
 /// Makes the final surface. See [`Workspace::extract`].
-#[derive(Clone)]
+#[derive(Clone, Serialize, Deserialize)]
 pub struct Extract {
     /// The volume.
     pub volume: VolumeStep,
@@ -83,7 +84,7 @@ pub struct Extract {
 }
 
 /// Asks about the surface that is shown. See [`Workspace::answer`].
-#[derive(Clone)]
+#[derive(Clone, Serialize, Deserialize)]
 pub struct Ask {
     /// The volume.
     pub volume: VolumeStep,

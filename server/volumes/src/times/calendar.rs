@@ -2,6 +2,9 @@
 
 use std::fmt;
 
+use isopeel_kernels::interned::{self, StaticText};
+use serde::{Deserialize, Serialize};
+
 const DAY_MS: i64 = 86_400_000;
 
 /// Maximum days around the epoch that are converted to dates: some ten million years.
@@ -14,12 +17,21 @@ const DAYS_BEFORE: [i64; 13] = [0, 31, 59, 90, 120, 151, 181, 212, 243, 273, 304
 const FIRST_GREGORIAN: i64 = -141_427;
 
 /// A unit of time.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Unit {
     /// `ms` / `parts` milliseconds.
-    Exact { symbol: &'static str, ms: i64, parts: i64 },
+    Exact {
+        #[serde(deserialize_with = "interned::deserialize")]
+        symbol: StaticText,
+        ms: i64,
+        parts: i64,
+    },
     /// Calendar months, twelve of which are a year.
-    Months { symbol: &'static str, count: i64 },
+    Months {
+        #[serde(deserialize_with = "interned::deserialize")]
+        symbol: StaticText,
+        count: i64,
+    },
 }
 
 impl Unit {
@@ -59,7 +71,7 @@ impl Unit {
 }
 
 /// Rules for the lengths of years and months.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Calendar {
     /// Gregorian since 15 October 1582, Julian before.
     Standard,
@@ -177,7 +189,7 @@ fn marched(year: i64, month: i64, day: i64) -> i64 {
 }
 
 /// A unit of time since a point in time.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Since {
     unit: Unit,
     /// Year, month, day.
@@ -188,7 +200,7 @@ pub struct Since {
 }
 
 /// Precision with which times are shown.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub enum Precision {
     Day,
     Minute,

@@ -4,6 +4,8 @@ mod calendar;
 
 use std::sync::Arc;
 
+use serde::{Deserialize, Serialize};
+
 use calendar::{Calendar, Precision, Since};
 
 /// Maximum steps whose labels are all sent and printed: some 20 kB.
@@ -16,7 +18,7 @@ const EVEN: f64 = 1e-6;
 const MAX_UNIT: usize = 24;
 
 /// Times of the steps of a volume.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TimeAxis {
     values: Values,
     meaning: Meaning,
@@ -24,13 +26,13 @@ pub struct TimeAxis {
     resolution: f64,
 }
 
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 enum Values {
     Even { start: f64, spacing: f64, steps: u32 },
     Listed(Arc<[f64]>),
 }
 
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 enum Meaning {
     /// Numbers in the names of files, written with this many digits.
     Number(usize),
