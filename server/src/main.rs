@@ -22,8 +22,10 @@ fn main() -> ExitCode {
         // SAFETY: no other thread is running, because the threads that `limits::check` has started have ended.
         unsafe { std::env::set_var(name, folder) };
     }
+    let confined = cli.command.confine();
     log::start(cli.log_format, cli.command.default_log());
     folders.iter().for_each(DriverFolders::warn);
+    confined.log();
     let outcome = cli::run(cli);
     log::finish();
     match outcome {

@@ -6,7 +6,9 @@
 use std::sync::{Mutex, OnceLock, PoisonError};
 use std::time::Duration;
 
-use ::metrics::{Counter, Unit, counter, describe_counter, describe_gauge, describe_histogram, gauge, histogram};
+use ::metrics::{
+    Counter, SharedString, Unit, counter, describe_counter, describe_gauge, describe_histogram, gauge, histogram,
+};
 use metrics_exporter_prometheus::{BuildError, PrometheusBuilder, PrometheusHandle};
 
 /// Bounds of the buckets of all histograms, in seconds: from a kernel of a small volume to an export of the largest one.
@@ -34,6 +36,7 @@ const QUEUED: &str = "isopeel_device_queued_jobs";
 const EXPORTS: &str = "isopeel_exports_running";
 const BATCH_JOBS: &str = "isopeel_batch_jobs";
 const DEVICE_LOST: &str = "isopeel_device_lost_total";
+const DEVICE_PROCESS_ENDED: &str = "isopeel_device_process_ended_total";
 const UPLOADS: &str = "isopeel_uploads";
 const UPLOAD_BYTES: &str = "isopeel_upload_bytes";
 const UPLOAD_RECEIVED: &str = "isopeel_upload_received_bytes_total";
@@ -124,6 +127,10 @@ fn describe() {
     describe_gauge!(EXPORTS, "Exports that run");
     describe_gauge!(BATCH_JOBS, "Batch jobs, by state");
     describe_counter!(DEVICE_LOST, "How often the device was lost");
+    describe_counter!(
+        DEVICE_PROCESS_ENDED,
+        "How often the process of the device has ended and was replaced, by reason"
+    );
     describe_gauge!(UPLOADS, "Uploads, by state");
     describe_gauge!(UPLOAD_BYTES, Unit::Bytes, "Bytes of all uploads that are there");
     describe_counter!(UPLOAD_RECEIVED, Unit::Bytes, "Bytes of uploads that were received");
@@ -240,8 +247,8 @@ pub fn edit_done(time: Duration) {
 }
 
 /// Records the time of one stage of a surface on the device.
-pub fn stage(name: &'static str, milliseconds: f64) {
-    histogram!(STAGE_SECONDS, "stage" => name).record(milliseconds / 1e3);
+pub fn stage(name: impl Into<SharedString>, milliseconds: f64) {
+    histogram!(STAGE_SECONDS, "stage" => name.into()).record(milliseconds / 1e3);
 }
 
 /// Labels of jobs on the device.
@@ -268,10 +275,16 @@ pub fn device_lost() {
     counter!(DEVICE_LOST).increment(1);
 }
 
+/// Counts an end of the process of the device that was not asked for. `reason`: `crashed`, `killed`, `silent`, `stuck`, `memory`, `replaced`
+/// or `unknown`.
+pub fn device_process_ended(reason: &'static str) {
+    counter!(DEVICE_PROCESS_ENDED, "reason" => reason).increment(1);
+}
+
 /// Counts a look-up in a cache of the device, and whether it was a hit.
-pub fn looked_up(what: &'static str, was_there: bool) {
+pub fn looked_up(what: impl Into<SharedString>, was_there: bool) {
     let result = if was_there { "hit" } else { "miss" };
-    counter!(CACHE, "what" => what, "result" => result).increment(1);
+    counter!(CACHE, "what" => what.into(), "result" => result).increment(1);
 }
 
 /// Counts a step for a viewer. `result` is `hit` if the step was cached, `joined` if it was in flight for another viewer, and `miss`

@@ -31,7 +31,10 @@ NOT_IN_ENGINE = {"axum", "clap", "hyper", "reqwest", "tokio", "utoipa"}
 
 LAYERS = {
     "kernels/src": """
-        constants error lock shared_slice sources tables
+        checked lock
+        interned
+        activity constants error shared_slice sources tables
+        bulk
         buffer cancel device interest layout pace transfer
         params rectilinear tuning volume
         expression feature mask program surface synthetic
@@ -83,18 +86,19 @@ LAYERS = {
     "server/view/src": """
         error outward
         camera interest mask quality transfer_function
+        binary
         chosen_parts expression opening parts schemas
         feature
         edit
         request
     """,
     "server/volumes/src": """
-        disk
+        disk json
         read_error
         axis_scales beneath codec frame labels notices parallel private progress remote statistics step times turned vectors
         findings identity unpacked
         location
-        numbered replaced stored testing
+        described numbered replaced stored testing
         scalar
         conversion rectilinear
         decode pieces

@@ -16,6 +16,7 @@ mod slice;
 mod stdin;
 mod surface;
 pub mod token;
+mod worker;
 
 use std::io::{self, Write};
 use std::path::PathBuf;
@@ -25,6 +26,7 @@ use tracing_subscriber::filter::LevelFilter;
 
 use crate::error::BoxError;
 use crate::pool;
+use crate::service::process::Confined;
 use stdin::InputPath;
 
 /// Isosurfaces of volumes, decimated by importance before they are made.
@@ -47,6 +49,17 @@ pub enum LogFormat {
     Text,
     /// An object of JSON each, for programs.
     Json,
+}
+
+impl LogFormat {
+    /// Returns the arguments of a process that writes its log in this format.
+    fn arguments(self) -> Vec<String> {
+        let name = match self {
+            Self::Text => "text",
+            Self::Json => "json",
+        };
+        vec!["--log-format".to_owned(), name.to_owned()]
+    }
 }
 
 /// A command with its arguments.
@@ -74,6 +87,9 @@ pub enum Command {
     Manual(ManualArgs),
     /// Time every stage on volumes made on the device, against the device's own speed; one JSON object a line
     Bench(bench::Args),
+    /// Use a device for a server, which starts this command
+    #[command(hide = true)]
+    Worker(worker::Args),
 }
 
 /// Arguments of `isopeel info`.
@@ -123,13 +139,24 @@ impl Command {
             Self::Serve(_) | Self::Extract(_) | Self::Batch(_) | Self::Slice(_) | Self::Devices(_) | Self::Bench(_) => {
                 true
             }
+            // The server has prepared the folders of the driver for its worker.
+            Self::Worker(_) => false,
             Self::Jobs(_) | Self::Token(_) | Self::Info(_) | Self::Completions(_) | Self::Manual(_) => false,
+        }
+    }
+
+    /// Confines this process if it is the process of a server's device. Comes before other threads are started, which would not be confined.
+    pub fn confine(&self) -> Confined {
+        match self {
+            Self::Worker(args) => worker::confine(args),
+            _ => Confined::NotWanted,
         }
     }
 
     /// Returns the log level that applies if `RUST_LOG` is not set.
     pub fn default_log(&self) -> LevelFilter {
         match self {
+            Self::Worker(args) => args.log_level,
             Self::Serve(_) => LevelFilter::INFO,
             Self::Extract(_)
             | Self::Slice(_)
@@ -151,8 +178,9 @@ impl Command {
 /// The error of the command. The caller prints it.
 pub fn run(cli: Cli) -> Result<(), BoxError> {
     pool::start()?;
+    let log_arguments = [cli.log_format.arguments(), worker::log_level(cli.command.default_log())].concat();
     match cli.command {
-        Command::Serve(args) => Ok(serve::run(&args)?),
+        Command::Serve(args) => Ok(serve::run(&args, &log_arguments)?),
         Command::Extract(args) => Ok(args.device.or_restart(extract::run(&args))?),
         Command::Slice(args) => Ok(args.device.or_restart(slice::run(&args))?),
         Command::Jobs(args) => Ok(jobs::run(&args)?),
@@ -162,6 +190,7 @@ pub fn run(cli: Cli) -> Result<(), BoxError> {
         Command::Devices(args) => devices::run(&args),
         Command::Completions(args) => Ok(completions(&args)?),
         Command::Manual(args) => Ok(manual(&args)?),
+        Command::Worker(args) => worker::run(&args),
         Command::Bench(args) => Ok(args.device.or_restart(bench::run(&args))?),
     }
 }

@@ -1,6 +1,6 @@
 //! `isopeel serve`: starts the server.
 
-mod memory;
+pub(super) mod memory;
 mod oidc;
 mod relaunch;
 mod signals;
@@ -13,7 +13,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use isopeel_volumes::watch::{INTERVAL, Watcher};
-use isopeel_volumes::{Catalog, Frame, ReadError, SharedCatalog, follow_links};
+use isopeel_volumes::{Catalog, FileLocation, Frame, ReadError, SharedCatalog, follow_links};
 
 use super::device::DeviceArgs;
 use super::log;
@@ -72,6 +72,10 @@ pub struct Args {
     /// Surfaces of more triangles are refused before they are made, with a budget that would be answered
     #[arg(long, value_name = "N", default_value_t = CEILING_TRIANGLES, value_parser = clap::value_parser!(u64).range(1..))]
     ceiling_triangles: u64,
+
+    /// Use the driver of the device in the server's own process: a driver that crashes or hangs then ends the server
+    #[arg(long)]
+    in_process: bool,
 
     #[command(flatten)]
     memory: MemoryArgs,
@@ -262,11 +266,11 @@ const DEVICE_GRACE: Duration = Duration::from_millis(500);
 /// Maximum time for flushing the audit log.
 const AUDIT_GRACE: Duration = Duration::from_millis(200);
 
-/// Serves until SIGINT or SIGTERM.
+/// Serves until SIGINT or SIGTERM. `log_arguments`: arguments of the process of the device that make it write its log as this one.
 ///
 /// # Errors
 /// [`Error`].
-pub fn run(args: &Args) -> Result<(), Error> {
+pub fn run(args: &Args, log_arguments: &[String]) -> Result<(), Error> {
     if let Some(file) = &args.config {
         tracing::info!(file = %file.display(), "options of a file are in force");
     }
@@ -325,7 +329,7 @@ pub fn run(args: &Args) -> Result<(), Error> {
         };
         let shutdown = signals::shutdown(reload(tls.clone(), audit.clone()), drain)?;
         // Comes after the listener, so that an address in use is reported before the device is opened.
-        let worker = start_worker(args, &catalog, inherited.is_some())?;
+        let worker = start_worker(args, log_arguments, &catalog, inherited.is_some())?;
         let address = listener.address()?;
         warn_of_network(args, &address);
         if inherited.is_none() {
@@ -472,18 +476,30 @@ fn warn_of_network(args: &Args, address: &ListenAddress) {
     }
 }
 
-fn start_worker(args: &Args, catalog: &SharedCatalog, retries_opening: bool) -> std::io::Result<DeviceWorker> {
+fn start_worker(
+    args: &Args,
+    log_arguments: &[String],
+    catalog: &SharedCatalog,
+    retries_opening: bool,
+) -> std::io::Result<DeviceWorker> {
     let now = catalog.now();
     let fields = now.datasets().iter().flat_map(|dataset| &dataset.fields);
     let types: HashSet<_> = fields.map(|field| field.sample_type).collect();
     let types = types.into_iter().collect();
-    DeviceWorker::start_with(DeviceOptions {
+    let options = DeviceOptions {
         retries_opening,
         surface_bytes: args.memory.surface_bytes(),
         request_time: limit_of(args.request_time),
         user_time: limit_of(args.user_time),
+        arguments: log_arguments.to_vec(),
+        hidden: args.hidden(&now),
         ..args.device.server_options(types)
-    })
+    };
+    if args.in_process {
+        DeviceWorker::start_with(options)
+    } else {
+        DeviceWorker::start_process(options)
+    }
 }
 
 /// Converts a limit in seconds. 0 means no limit.
@@ -543,11 +559,39 @@ impl Args {
         Ok(opened.transpose()?.map(SpoolFolder::new))
     }
 
+    /// Returns the files and folders that only the server uses, not the process of its device: secrets, volumes, and what users have sent
+    /// or made.
+    fn hidden(&self, catalog: &Catalog) -> Vec<PathBuf> {
+        let files = [&self.token_file, &self.tls_key, &self.config, &self.audit_log];
+        let folders = [&self.state_folder, &self.spool];
+        let named = files.into_iter().chain(folders).flatten();
+        let named = named.chain(self.oidc.secret_file()).chain(self.uploads.folder());
+        let volumes = self.paths.iter().map(|path| FileLocation::named(path));
+        let mut hidden: HashSet<PathBuf> = volumes.filter_map(on_disk).chain(named.cloned()).collect();
+        // Other files of a volume, which its path does not name: samples beside a header, and what links lead to.
+        for dataset in catalog.datasets() {
+            let sources = dataset.fields.iter().map(|field| &field.source);
+            let files = sources.flat_map(|source| (0..dataset.steps).flat_map(|step| source.inputs(step)));
+            for file in files.filter_map(on_disk) {
+                if self.follow_links || !file.ancestors().any(|path| hidden.contains(path)) {
+                    hidden.insert(file);
+                }
+            }
+        }
+        hidden.into_iter().collect()
+    }
+
     fn job_limits(&self) -> Limits {
         Limits {
             quota_bytes: self.job_quota.saturating_mul(1 << 20),
         }
     }
+}
+
+/// Returns the path of a file or folder on disk.
+fn on_disk(location: FileLocation) -> Option<PathBuf> {
+    let is_on_disk = location.address().is_none() && !location.is_in_memory();
+    is_on_disk.then(|| location.path().to_owned())
 }
 
 /// Checks the paths for new files at intervals. Returns only after a panic.
@@ -563,5 +607,51 @@ async fn watch(mut watcher: Watcher) {
             Ok(returned) => returned,
             Err(error) => return tracing::error!(%error, "paths are not watched any more"),
         };
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use clap::Parser;
+
+    use super::*;
+
+    #[derive(Parser)]
+    struct Command {
+        #[command(flatten)]
+        args: Args,
+    }
+
+    #[test]
+    fn secrets_volumes_and_what_users_have_sent_are_hidden_from_the_process_of_the_device() {
+        let folder = tempfile::tempdir().unwrap();
+        let header = folder.path().join("a.nhdr");
+        let text = "NRRD0004\ntype: uint8\ndimension: 3\nsizes: 2 2 2\nencoding: raw\ndata file: a.raw\n";
+        std::fs::write(&header, text).unwrap();
+        std::fs::write(folder.path().join("a.raw"), [0; 8]).unwrap();
+        let options = [
+            ("--token-file", "/a/token"),
+            ("--tls-cert", "/a/certificate"),
+            ("--tls-key", "/a/key"),
+            ("--config", "/a/config"),
+            ("--audit-log", "/a/audit"),
+            ("--state-folder", "/a/state"),
+            ("--spool", "/a/spool"),
+            ("--uploads", "/a/uploads"),
+            ("--oidc-client-secret-file", "/a/secret"),
+        ];
+        let options = options.iter().flat_map(|(name, value)| [*name, *value]);
+        let paths = [header.to_str().unwrap(), "/volumes", "https://volumes.example/a.zarr"];
+        let args = Command::parse_from(["serve"].into_iter().chain(options).chain(paths)).args;
+        let catalog = Catalog::open(std::slice::from_ref(&header), true).unwrap();
+        let mut hidden = args.hidden(&catalog);
+        hidden.sort();
+        let named = ["audit", "config", "key", "secret", "spool", "state", "token", "uploads"];
+        let mut expected: Vec<_> = named.iter().map(|name| Path::new("/a").join(name)).collect();
+        expected.extend([header, folder.path().join("a.raw"), "/volumes".into()]);
+        expected.sort();
+        assert_eq!(hidden, expected);
     }
 }

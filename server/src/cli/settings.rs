@@ -344,9 +344,10 @@ mod tests {
         }
     }
 
-    /// `command` and those below it.
+    /// `command` and those below it that users see.
     fn all_below(command: &Command) -> Vec<&Command> {
-        let below = command.get_subcommands().flat_map(all_below);
+        let shown = command.get_subcommands().filter(|command| !command.is_hide_set());
+        let below = shown.flat_map(all_below);
         std::iter::once(command).chain(below).collect()
     }
 

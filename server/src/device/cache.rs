@@ -17,6 +17,23 @@ const DRIVERS: [(&str, &str); 3] = [
     ("MESA_SHADER_CACHE_DIR", "mesa"),
 ];
 
+/// Environment variables that set where drivers cache compiled kernels: those of [`DRIVERS`], and those of Intel's and AMD's drivers.
+const FOLDER_VARIABLES: [&str; 5] = [
+    "POCL_CACHE_DIR",
+    "CUDA_CACHE_PATH",
+    "MESA_SHADER_CACHE_DIR",
+    "NEO_CACHE_DIR",
+    "AMD_COMGR_CACHE_DIR",
+];
+
+/// Folders in the user's cache folder in which Mesa's, Intel's and AMD's drivers cache compiled kernels.
+const OWN_FOLDERS: [&str; 4] = [
+    "mesa_shader_cache",
+    "mesa_shader_cache_db",
+    "neo_compiler_cache",
+    "comgr",
+];
+
 /// Environment variable that sets where PoCL caches compiled kernels.
 const POCL: &str = "POCL_CACHE_DIR";
 
@@ -84,6 +101,30 @@ pub fn driver_folders() -> DriverFolders {
         format!("the folder of PoCL's compiled kernels is of no use: {why}; {how}{place}. {POCL} names another one")
     });
     DriverFolders { variables, warning }
+}
+
+/// Returns the folders in which drivers cache compiled kernels in this process: those that the environment names, and those that drivers
+/// use by themselves. Creates subfolders of isopeel's cache folder that do not exist.
+pub fn kernel_folders() -> Vec<PathBuf> {
+    let default = default_variables();
+    for (_, folder) in &default {
+        // An error is ignored: drivers work without a cache.
+        let _ = private_folder::make(folder);
+    }
+    let cache = path("XDG_CACHE_HOME").or_else(|| path("HOME").map(|home| home.join(".cache")));
+    let own = OWN_FOLDERS.iter().filter_map(|name| Some(cache.as_ref()?.join(name)));
+    let nvidia = path("HOME").map(|home| home.join(".nv"));
+    let named = FOLDER_VARIABLES.iter().filter_map(|name| path(name));
+    let folders = named.chain(default.into_iter().map(|(_, folder)| folder));
+    folders.chain(pocl_folder()).chain(own).chain(nvidia).collect()
+}
+
+/// Returns the folder for temporary files of the process of a server's device: a subfolder of
+/// isopeel's cache folder, or else of the folder of temporary files. `None` if neither can be used.
+pub fn temporary_folder() -> Option<PathBuf> {
+    let folder = folder().map(|folder| folder.join("tmp"));
+    let usable = folder.filter(|folder| check(folder, 0).is_ok());
+    usable.or_else(|| spare_folder().ok())
 }
 
 /// Checks that PoCL has disk space to compile another program. If not, the log names the folder.

@@ -22,5 +22,6 @@ mod verdicts;
 
 pub use listing::{Listed, Unlisted, list};
 pub use prepare::{Checked, DeviceFailure, DeviceRequirements, PendingCheck, Prepared, Unprepared, check_all, prepare};
-pub use proven::Proven;
+pub use proven::{CheckState, Proven};
 pub use run::Ended;
+pub(crate) use run::{end_with_parent, program};

@@ -2,20 +2,23 @@
 
 use std::collections::HashSet;
 
+use serde::{Deserialize, Serialize};
 use tokio::sync::watch;
 
 /// Programs that have passed, shared by the thread that follows the check and the threads that use the device.
 #[derive(Default)]
-pub struct Proven(watch::Sender<State>);
+pub struct Proven(watch::Sender<CheckState>);
 
-#[derive(Default)]
-struct State {
-    programs: HashSet<String>,
+/// State of a check that may be still running.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct CheckState {
+    /// Programs that have passed.
+    pub programs: HashSet<String>,
     /// Outcome of the check, once it has ended: all programs have passed, or none may be used.
-    ended: Option<Result<(), String>>,
+    pub ended: Option<Result<(), String>>,
 }
 
-impl State {
+impl CheckState {
     fn has_passed(&self, program: &str) -> Result<bool, String> {
         match &self.ended {
             Some(ended) => ended.clone().map(|()| true),
@@ -33,6 +36,24 @@ impl Proven {
     /// Records the end of the check, and its error if it failed.
     pub fn end(&self, ended: Result<(), String>) {
         self.0.send_modify(|state| state.ended = Some(ended));
+    }
+
+    /// Returns the state of the check.
+    pub fn state(&self) -> CheckState {
+        self.0.borrow().clone()
+    }
+
+    /// Waits until the state differs from `last`, and returns it.
+    pub async fn after(&self, last: &CheckState) -> CheckState {
+        let mut states = self.0.subscribe();
+        // The sender lives as long as `self`, so waiting cannot fail.
+        let changed = states.wait_for(|state| state != last).await.map(|state| state.clone());
+        changed.unwrap_or_default()
+    }
+
+    /// Replaces the state by that of a check which another process follows.
+    pub fn set(&self, state: CheckState) {
+        self.0.send_replace(state);
     }
 
     /// Whether this program has passed. All programs have passed once the check has succeeded.

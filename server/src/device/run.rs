@@ -213,7 +213,7 @@ fn describe(status: ExitStatus) -> String {
 }
 
 /// Returns the path of this executable. On Linux the path stays valid if an update replaces the file.
-fn program() -> std::io::Result<std::path::PathBuf> {
+pub(crate) fn program() -> std::io::Result<std::path::PathBuf> {
     #[cfg(target_os = "linux")]
     return Ok("/proc/self/exe".into());
     #[cfg(not(target_os = "linux"))]
@@ -222,7 +222,7 @@ fn program() -> std::io::Result<std::path::PathBuf> {
 
 /// Makes the kernel kill the child when the thread that started the child ends.
 #[cfg(target_os = "linux")]
-fn end_with_parent(command: &mut Command) {
+pub(crate) fn end_with_parent(command: &mut Command) {
     // SAFETY: the closure only makes a system call, which is allowed between fork and exec.
     unsafe {
         command.pre_exec(|| {
@@ -233,7 +233,7 @@ fn end_with_parent(command: &mut Command) {
 }
 
 #[cfg(not(target_os = "linux"))]
-fn end_with_parent(_: &mut Command) {}
+pub(crate) fn end_with_parent(_: &mut Command) {}
 
 /// Reads lines from `out` in a thread. Bytes that are not UTF-8 are replaced.
 fn read_lines(out: Option<impl Read + Send + 'static>) -> Receiver<String> {

@@ -52,6 +52,7 @@ impl DeviceWorker {
                 drop(retries.pin.take());
                 self.make_histograms(volume, keys, token).await
             }
+            JobError::NotBegun => Ok(()),
             error => Err(error.into()),
         };
         match prepared {
@@ -67,7 +68,7 @@ impl DeviceWorker {
     /// - after volumes that were not resident were loaded, or missing histograms were made,
     /// - after a program that it needs has passed its check,
     /// - as a long job if it takes long,
-    /// - after a lost device was reopened.
+    /// - after a lost device was reopened, or the process that has it was replaced.
     ///
     /// # Errors
     /// [`WorkError`].

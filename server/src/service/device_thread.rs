@@ -5,8 +5,10 @@
 //! and their callers load the volumes again.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::PathBuf;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, OnceLock};
+use std::thread::JoinHandle;
 use std::time::Duration;
 
 use isopeel_extraction::{
@@ -14,7 +16,7 @@ use isopeel_extraction::{
     resident_bytes,
 };
 use isopeel_kernels::check::{Check, STEPS, Scope};
-use isopeel_kernels::{DeviceInfo, Engine, SampleType, Tuning};
+use isopeel_kernels::{Activity, DeviceInfo, Engine, SampleType, Tuning};
 use serde::Serialize;
 use tokio::sync::{mpsc, watch};
 
@@ -27,8 +29,12 @@ use crate::{metrics, pool};
 /// Time between two attempts to open a lost device. Meanwhile jobs fail at once.
 const RETRY_INTERVAL: Duration = Duration::from_millis(500);
 
+/// Stack of the device's thread. Drivers for CPUs run kernels on this stack. With Intel's runtime, some kernels have 3 MB of private
+/// variables.
+const STACK_BYTES: usize = 16 << 20;
+
 /// Forwards the events of a workspace to the metrics.
-struct Metrics;
+pub(super) struct Metrics;
 
 impl Observer for Metrics {
     fn looked_up(&self, cache: &'static str, is_hit: bool) {
@@ -95,14 +101,56 @@ pub enum ChoiceError {
     NewProcess,
 }
 
-/// Reports the progress before the device is open, and failures of the check. The check may continue after the device is open.
+/// Reports the state of the device: progress before the device is open, and failures of the check, which may continue after the device is
+/// open.
 #[derive(Clone)]
-pub struct StateReporter(Arc<watch::Sender<DeviceState>>);
+pub struct StateReporter(Arc<watch::Sender<DeviceState>>, Option<Arc<ForwardState>>);
+
+/// Called with each new state of the device.
+type ForwardState = dyn Fn(&DeviceState) + Send + Sync;
 
 impl StateReporter {
+    pub(super) fn new(state: watch::Sender<DeviceState>) -> Self {
+        Self(Arc::new(state), None)
+    }
+
+    /// Returns a reporter that calls `forward` with each new state.
+    pub(super) fn forwarding(forward: impl Fn(&DeviceState) + Send + Sync + 'static) -> Self {
+        let (state, _) = watch::channel(DeviceState::Opening(Preparation::default()));
+        Self(Arc::new(state), Some(Arc::new(forward)))
+    }
+
+    /// Reports a state.
+    pub(super) fn set(&self, state: DeviceState) {
+        self.change(|old| {
+            *old = state;
+            true
+        });
+    }
+
+    /// Changes the state. `change` returns whether it has changed it.
+    fn change(&self, change: impl FnOnce(&mut DeviceState) -> bool) {
+        if self.0.send_if_modified(change)
+            && let Some(forward) = &self.1
+        {
+            forward(&self.0.borrow());
+        }
+    }
+
+    /// Reports a state, unless a check that is still running has refused the device meanwhile.
+    pub(super) fn set_unless_refused(&self, new: DeviceState) {
+        self.change(|state| {
+            let is_refused = matches!(state, DeviceState::Failed(_) | DeviceState::NeedsNewProcess);
+            if !is_refused {
+                *state = new;
+            }
+            !is_refused
+        });
+    }
+
     /// Reports progress: `done` of `of` steps. Without effect once the device is open.
     pub fn progress(&self, done: usize, of: usize) {
-        self.0.send_if_modified(|state| {
+        self.change(|state| {
             let is_opening = matches!(state, DeviceState::Opening(_));
             if is_opening {
                 *state = DeviceState::Opening(Preparation { done, of });
@@ -111,15 +159,29 @@ impl StateReporter {
         });
     }
 
+    /// Chooses the device. Returns `None` after reporting why there is none.
+    pub(super) fn choose(&self, choose: DeviceChooser) -> Option<Choice> {
+        match choose(self) {
+            Ok(choice) => Some(choice),
+            Err(ChoiceError::Refused(why)) => {
+                self.refuse(why);
+                None
+            }
+            Err(ChoiceError::NewProcess) => {
+                self.need_new_process();
+                None
+            }
+        }
+    }
+
     /// Reports that this process must not use the device any more: a new process replaces it.
     pub fn need_new_process(&self) {
-        self.0.send_replace(DeviceState::NeedsNewProcess);
+        self.set(DeviceState::NeedsNewProcess);
     }
 
     /// Reports that the device must not be used any more. The server ends with the error message `why`.
     pub fn refuse(&self, why: String) {
-        self.0
-            .send_replace(DeviceState::Failed(Arc::new(OpenError::Refused(why))));
+        self.set(DeviceState::Failed(Arc::new(OpenError::Refused(why))));
     }
 }
 
@@ -141,6 +203,10 @@ pub struct DeviceOptions {
     pub request_time: Option<Duration>,
     /// Maximum device time that one user's computed fields may take within [`isopeel_extraction::USER_TIME_PERIOD`]; `None`: no limit.
     pub user_time: Option<Duration>,
+    /// Arguments of the process of the device, if it has one: how it writes its log.
+    pub arguments: Vec<String>,
+    /// Files and folders that this process may not use if it is the device's own.
+    pub hidden: Vec<PathBuf>,
 }
 
 impl DeviceOptions {
@@ -158,8 +224,34 @@ impl DeviceOptions {
             surface_bytes: None,
             request_time: None,
             user_time: None,
+            arguments: Vec::new(),
+            hidden: Vec::new(),
         }
     }
+}
+
+/// State that the handles of a device share with the thread that serves their jobs.
+pub(super) struct Parts {
+    pub state: StateReporter,
+    pub memory: watch::Sender<WorkspaceMemory>,
+    /// Number of the current engine.
+    pub engine: Arc<AtomicU64>,
+    pub histograms: HistogramCache,
+    pub pins: Pins,
+    pub open_steps: OpenSteps,
+    /// Programs that have passed the check, if it is still running when the device is opened.
+    pub proven: Arc<OnceLock<Arc<Proven>>>,
+}
+
+/// What the engine that is open does now; `None` while none is open.
+pub(super) type SharedActivity = Arc<Mutex<Option<Arc<Activity>>>>;
+
+/// Starts the device's thread.
+pub(super) fn spawn(run: impl FnOnce() + Send + 'static) -> std::io::Result<JoinHandle<()>> {
+    std::thread::Builder::new()
+        .name("isopeel-device".into())
+        .stack_size(STACK_BYTES)
+        .spawn(run)
 }
 
 /// Options and shared state of the device's thread, apart from the choice of the device.
@@ -169,31 +261,25 @@ pub(super) struct DeviceThread {
     pub surface_bytes: Option<u64>,
     pub request_time: Option<Duration>,
     pub user_times: Arc<UserTimes>,
-    pub state: Arc<watch::Sender<DeviceState>>,
-    pub memory: watch::Sender<WorkspaceMemory>,
+    pub report: StateReporter,
+    /// Called with the memory of the workspace after each job.
+    pub report_memory: Box<dyn Fn(WorkspaceMemory) + Send>,
     /// Number of the current engine.
     pub engine: Arc<AtomicU64>,
     pub histograms: HistogramCache,
     pub pins: Pins,
     pub open_steps: OpenSteps,
+    pub observer: Arc<dyn Observer + Send + Sync>,
+    pub activity: SharedActivity,
     /// Programs that have passed the check, shared with the handles.
     pub proven: Arc<OnceLock<Arc<Proven>>>,
 }
 
 impl DeviceThread {
     /// Runs jobs until all senders of the queue are dropped, or the device cannot be opened.
-    pub(super) fn run(self, choose: DeviceChooser, jobs: mpsc::Receiver<DeviceJob>) {
-        let choice = match choose(&StateReporter(Arc::clone(&self.state))) {
-            Ok(choice) => choice,
-            Err(ChoiceError::Refused(why)) => {
-                self.state
-                    .send_replace(DeviceState::Failed(Arc::new(OpenError::Refused(why))));
-                return;
-            }
-            Err(ChoiceError::NewProcess) => {
-                self.state.send_replace(DeviceState::NeedsNewProcess);
-                return;
-            }
+    pub(super) fn run(mut self, choose: DeviceChooser, jobs: mpsc::Receiver<DeviceJob>) {
+        let Some(choice) = self.report.choose(choose) else {
+            return;
         };
         let engine = loop {
             match self.open(&choice) {
@@ -203,17 +289,17 @@ impl DeviceThread {
                 }
                 Err(error) => {
                     // The state is set before the queue is dropped, so that the callers of waiting jobs find the error there.
-                    self.state.send_replace(DeviceState::Failed(Arc::new(error)));
+                    self.report.set(DeviceState::Failed(Arc::new(error)));
                     return;
                 }
             }
             std::thread::sleep(RETRY_INTERVAL);
         };
         let process_bytes = resident_bytes();
-        let memory = self.memory.clone();
+        let report = std::mem::replace(&mut self.report_memory, Box::new(|_| ()));
         let report_memory = move |workspace: &Workspace| {
             if let Ok(used) = workspace.memory(process_bytes) {
-                memory.send_replace(used);
+                report(used);
             }
         };
         let device = engine.device().clone();
@@ -255,14 +341,7 @@ impl DeviceThread {
 
     fn report_ready(&self, device: DeviceInfo) {
         tracing::info!(device = device.name, platform = device.platform, "device ready");
-        self.state.send_if_modified(|state| {
-            // A check that is still running may have refused the device meanwhile.
-            let is_refused = matches!(state, DeviceState::Failed(_) | DeviceState::NeedsNewProcess);
-            if !is_refused {
-                *state = DeviceState::Ready(device);
-            }
-            !is_refused
-        });
+        self.report.set_unless_refused(DeviceState::Ready(device));
     }
 
     /// Reports a failed attempt to open the device again.
@@ -271,7 +350,7 @@ impl DeviceThread {
             error = chain(error),
             "the device could not be reopened, and will be tried again"
         );
-        self.state.send_replace(DeviceState::Lost);
+        self.report.set(DeviceState::Lost);
     }
 
     /// Creates the workspace of a newly opened engine, and publishes the engine's number and the proven programs to the handles.
@@ -285,7 +364,7 @@ impl DeviceThread {
                 surface_bytes: self.surface_bytes,
                 request_time: self.request_time,
                 user_times: Arc::clone(&self.user_times),
-                observer: Arc::new(Metrics),
+                observer: Arc::clone(&self.observer),
                 long_work: pool::exports(),
             },
         );
@@ -293,13 +372,14 @@ impl DeviceThread {
             self.proven.get_or_init(|| Arc::clone(proven));
         }
         self.engine.store(workspace.id().number(), Ordering::Relaxed);
+        *lock(&self.activity) = Some(workspace.engine().activity());
         workspace
     }
 
     /// Reopens a lost device, and replaces the workspace. Retries until the device is open or all handles are dropped. Meanwhile waiting
     /// jobs fail.
     fn reopen(&self, choice: &Choice, workspace: &mut Workspace, queue: &mut Queue<DeviceJob>) {
-        self.state.send_replace(DeviceState::Opening(Preparation::default()));
+        self.report.set(DeviceState::Opening(Preparation::default()));
         // Buffers of the lost device may prevent it from being reopened.
         discard(|| workspace.clear());
         loop {
@@ -313,7 +393,7 @@ impl DeviceThread {
                 }
                 Err(OpenError::Device(error)) if error.needs_new_process() => {
                     tracing::error!(error = chain(&error), "this process can no longer use the driver");
-                    self.state.send_replace(DeviceState::NeedsNewProcess);
+                    self.report.set(DeviceState::NeedsNewProcess);
                 }
                 Err(error) => self.report_lost(&error),
             }

@@ -67,6 +67,8 @@ impl DeviceWorker {
             let (remaining, histogram) = self.perform_slice(Caller::Viewer, slice, &mut retries).await?;
             *work = remaining;
             if let Some(histogram) = histogram {
+                // A device in a process of its own has a cache of its own.
+                self.shared.histograms.insert(key.clone(), histogram.clone());
                 self.shared.unfinished_histograms.remove(key);
                 return Ok(histogram);
             }

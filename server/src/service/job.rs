@@ -1,8 +1,9 @@
 //! Jobs: requests in the queue of the device's thread.
 
+use std::sync::Mutex;
 use std::time::Instant;
 
-use isopeel_extraction::{DeviceReply, DeviceRequest, JobContext, JobError, Question, WorkError, Workspace};
+use isopeel_extraction::{DeviceReply, DeviceRequest, JobContext, JobError, Question, WorkError, Workspace, lock};
 use tokio::sync::{OwnedSemaphorePermit, oneshot};
 use tokio_util::sync::CancellationToken;
 
@@ -10,7 +11,7 @@ use super::scheduler::{Caller, Job, Length, PausedQueue, Queue, Token};
 use crate::metrics::{self, JobLabels};
 
 /// Returns the length with which a request is queued first. If its job then fails with [`JobError::TakesLong`], the request is queued again
-/// with the length [`Caller::long`].
+/// with the length [`Caller::length_if_long`].
 pub(super) fn length_of(request: &DeviceRequest, caller: Caller) -> Length {
     match request {
         DeviceRequest::Extract(_) => caller.length_if_long(),
@@ -42,19 +43,75 @@ pub(super) fn length_of(request: &DeviceRequest, caller: Caller) -> Length {
     }
 }
 
+tokio::task_local! {
+    /// Id in the log of the edit that a task works on.
+    pub static TRACE: String;
+}
+
+/// The code that waits for a job.
+pub(super) trait Requester: Send {
+    /// The job begins to run.
+    fn begun(&self);
+
+    /// The job has ended. A job that is dropped without this call was never run.
+    fn ended(self: Box<Self>, outcome: Result<DeviceReply, JobError>);
+}
+
+/// A caller in this process, with the space of its job in the queue.
+pub(super) struct LocalRequester {
+    reply: oneshot::Sender<Result<DeviceReply, JobError>>,
+    labels: JobLabels,
+    /// When the job was queued.
+    queued: Instant,
+    /// When the job began, and its space in the queue until then.
+    begun: Mutex<(Option<Instant>, Option<OwnedSemaphorePermit>)>,
+}
+
+impl LocalRequester {
+    /// Returns the caller of a job that is queued now, and the receiver of the job's outcome.
+    pub(super) fn new(
+        labels: JobLabels,
+        space: OwnedSemaphorePermit,
+    ) -> (Self, oneshot::Receiver<Result<DeviceReply, JobError>>) {
+        let (reply, outcome) = oneshot::channel();
+        let requester = Self {
+            reply,
+            labels,
+            queued: Instant::now(),
+            begun: Mutex::new((None, Some(space))),
+        };
+        (requester, outcome)
+    }
+}
+
+impl Requester for LocalRequester {
+    fn begun(&self) {
+        let now = Instant::now();
+        *lock(&self.begun) = (Some(now), None);
+        metrics::job_begun(self.labels, now - self.queued);
+    }
+
+    fn ended(self: Box<Self>, outcome: Result<DeviceReply, JobError>) {
+        if let Some(begun) = lock(&self.begun).0 {
+            metrics::job_ended(self.labels, begun.elapsed());
+        }
+        // Sending fails if the caller is gone, which is no error.
+        let _ = self.reply.send(outcome);
+    }
+}
+
 /// A request that waits for the device.
 pub(super) struct DeviceJob {
     pub request: DeviceRequest,
     pub length: Length,
     pub token: CancellationToken,
-    pub reply: oneshot::Sender<Result<DeviceReply, JobError>>,
+    pub requester: Box<dyn Requester>,
     /// Permit of [`super::scheduler::Permits`], released when the job ends.
     pub permit: Option<OwnedSemaphorePermit>,
     /// Span of the caller, to which log entries of the job belong.
     pub span: tracing::Span,
-    pub labels: JobLabels,
-    /// When the job was queued.
-    pub queued: Instant,
+    /// The edit that the job is for, for the log of another process.
+    pub trace: Option<String>,
 }
 
 impl Job for DeviceJob {
@@ -73,12 +130,16 @@ impl Job for DeviceJob {
     }
 
     fn run(self, workspace: &mut Workspace, queue: &mut Queue<Self>) {
-        let (_permit, _span, begun) = (self.permit, self.span.entered(), Instant::now());
-        metrics::job_begun(self.labels, begun - self.queued);
+        let (_permit, _span) = (self.permit, self.span.entered());
+        self.requester.begun();
+        let (name, begun) = (self.request.name(), Instant::now());
         let outcome = run(self.request, workspace, queue, self.length, &self.token);
-        metrics::job_ended(self.labels, begun.elapsed());
-        // Sending fails if the caller is gone, which is no error.
-        let _ = self.reply.send(outcome);
+        tracing::debug!(
+            job = name,
+            milliseconds = begun.elapsed().as_millis() as u64,
+            "a job has ended"
+        );
+        self.requester.ended(outcome);
     }
 }
 

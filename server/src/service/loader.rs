@@ -9,8 +9,8 @@ use isopeel_extraction::{
     BeginUpload, Compute, ContinueTable, ContinueUpload, DropUpload, FindResident, FinishUpload, HostMemory,
     MakeHostSpace, Piece, Release, VolumeKey, WorkError, bytes_while_read, padded_grid, read,
 };
-use isopeel_kernels::RectilinearGrid;
-use isopeel_volumes::{ReadProgress, VolumeStep};
+use isopeel_kernels::{RectilinearGrid, Samples};
+use isopeel_volumes::{PIECE_SAMPLES, ReadProgress, VolumeStep};
 use tokio::sync::mpsc;
 use tokio_util::sync::CancellationToken;
 
@@ -18,6 +18,9 @@ use super::loading::FieldLoad;
 use super::scheduler::Caller;
 use super::worker::DeviceWorker;
 use crate::pool::ReadPool;
+
+/// Maximum number of samples in one request. Some readers have a volume in one piece, for which other requests would wait.
+const REQUEST_SAMPLES: usize = 4 * PIECE_SAMPLES;
 
 /// Why a field is loaded.
 #[derive(Clone, Copy)]
@@ -229,9 +232,29 @@ impl DeviceWorker {
                     return Ok(false);
                 }
             }
-            let key = key.clone();
-            self.run_for_cache(ContinueUpload { key, samples }).await?;
+            if samples.len() <= REQUEST_SAMPLES {
+                let key = key.clone();
+                self.run_for_cache(ContinueUpload { key, samples }).await?;
+                continue;
+            }
+            for begin in (0..samples.len()).step_by(REQUEST_SAMPLES) {
+                let samples = part_of(&samples, begin);
+                let key = key.clone();
+                self.run_for_cache(ContinueUpload { key, samples }).await?;
+            }
         }
         Ok(true)
+    }
+}
+
+/// Returns at most [`REQUEST_SAMPLES`] samples from one on.
+fn part_of(samples: &Samples, begin: usize) -> Samples {
+    let range = begin..(begin + REQUEST_SAMPLES).min(samples.len());
+    match samples {
+        Samples::U8(values) => Samples::U8(values[range].to_vec()),
+        Samples::I8(values) => Samples::I8(values[range].to_vec()),
+        Samples::U16(values) => Samples::U16(values[range].to_vec()),
+        Samples::I16(values) => Samples::I16(values[range].to_vec()),
+        Samples::F32(values) => Samples::F32(values[range].to_vec()),
     }
 }

@@ -30,6 +30,7 @@ mod observed;
 mod overview_cache;
 mod overviews;
 mod pins;
+pub mod process;
 mod scheduler;
 mod slices;
 mod surfaces;
@@ -38,6 +39,7 @@ mod volume_info;
 mod worker;
 
 pub use device_thread::{Choice, ChoiceError, DeviceChooser, DeviceOptions, DeviceState, Preparation, StateReporter};
+pub use job::TRACE;
 pub use loading::{OpeningProgress, OpeningWatch};
 pub use volume_info::{
     AxisInfo, DerivedInfo, FieldInfo, GeometryInfo, HistogramInfo, LabelInfo, TimesInfo, VectorInfo, VolumeInfo,

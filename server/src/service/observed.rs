@@ -1,4 +1,4 @@
-//! State of the device for monitoring: jobs in its queue, and memory by purpose.
+//! State of the device for monitoring: memory by purpose.
 
 use isopeel_extraction::{MemoryUse, WorkError};
 
@@ -6,12 +6,6 @@ use super::device_thread::DeviceState;
 use super::worker::DeviceWorker;
 
 impl DeviceWorker {
-    /// Returns the number of jobs in the queue.
-    pub fn queued(&self) -> usize {
-        let jobs = self.shared.jobs.as_ref();
-        jobs.map_or(0, |jobs| jobs.max_capacity() - jobs.capacity())
-    }
-
     /// Returns the memory by purpose, as of the last job.
     ///
     /// # Errors

@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use isopeel_extraction::WaitingWork;
 use isopeel_kernels::Cancel;
+use serde::{Deserialize, Serialize};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
 use tokio_util::sync::CancellationToken;
 
@@ -35,7 +36,7 @@ impl Caller {
 }
 
 /// How a job shares the device, from the highest priority to the lowest. When a long job pauses, the waiting jobs of higher priority run.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub(super) enum Length {
     /// Ends soon, so other jobs wait for its end.
     Short,

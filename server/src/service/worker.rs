@@ -19,14 +19,17 @@ use isopeel_extraction::{
 use isopeel_kernels::{DeviceInfo, Error};
 use isopeel_view::View;
 use isopeel_volumes::VolumeStep;
-use tokio::sync::{Semaphore, mpsc, oneshot, watch};
+use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc, watch};
 use tokio_util::sync::CancellationToken;
 
-use super::device_thread::{DeviceOptions, DeviceState, DeviceThread, Preparation};
-use super::job::{DeviceJob, length_of};
+use super::device_thread::{
+    self, DeviceOptions, DeviceState, DeviceThread, Metrics, Parts, Preparation, StateReporter,
+};
+use super::job::{DeviceJob, LocalRequester, TRACE, length_of};
 use super::loading::{FieldWork, Loads, OpeningWatch};
 use super::overview_cache::Overviews;
 use super::pins::WaitingPins;
+use super::process::{self, Link};
 use super::scheduler::{Caller, Length, Permits, job_labels};
 use super::unfinished::UnfinishedHistograms;
 use crate::device::Proven;
@@ -44,10 +47,6 @@ const PROBE_LIFETIME: Duration = Duration::from_secs(1);
 /// Interval at which [`DeviceWorker::end_within`] polls whether the thread has ended.
 const END_POLL_INTERVAL: Duration = Duration::from_millis(5);
 
-/// Stack of the device's thread. Drivers for CPUs run kernels on this stack. With Intel's runtime, some kernels have 3 MB of private
-/// variables.
-const STACK_BYTES: usize = 16 << 20;
-
 /// Handle to the thread that owns the device. Clones are cheap. Dropping the last one ends the thread, and waits for its
 /// end.
 #[derive(Clone)]
@@ -62,8 +61,10 @@ pub struct DeviceWorker {
 }
 
 pub(super) struct Shared {
-    /// `None` once the last handle is being dropped.
-    pub jobs: Option<mpsc::Sender<DeviceJob>>,
+    /// Where jobs go; `None` once the last handle is being dropped.
+    jobs: Option<Jobs>,
+    /// Space in the queue. A job takes some until it begins.
+    space: Arc<Semaphore>,
     state: watch::Receiver<DeviceState>,
     pub memory: watch::Receiver<WorkspaceMemory>,
     /// Number of the engine, set by the thread.
@@ -87,6 +88,25 @@ pub(super) struct Shared {
     /// Programs that have passed the check so far. Set by the thread if the check is still running when the device is opened.
     proven: Arc<OnceLock<Arc<Proven>>>,
     thread: Option<JoinHandle<()>>,
+}
+
+/// Where jobs go.
+enum Jobs {
+    /// To the device's thread in this process.
+    Thread(mpsc::Sender<DeviceJob>),
+    /// To the process that has the device.
+    Process(Link),
+}
+
+impl Jobs {
+    /// Sends a job. Returns false if the device is not used any more.
+    fn send(&self, job: DeviceJob) -> bool {
+        match self {
+            // There is space: the job has its permit.
+            Self::Thread(thread) => thread.try_send(job).is_ok(),
+            Self::Process(link) => link.send(job),
+        }
+    }
 }
 
 impl Drop for Shared {
@@ -116,43 +136,71 @@ impl DeviceWorker {
     /// # Errors
     /// The thread cannot be started.
     pub fn start_with(options: DeviceOptions) -> std::io::Result<Self> {
-        let DeviceOptions {
-            choose,
-            types,
-            retries_opening,
-            surface_bytes,
-            request_time,
-            user_time,
-        } = options;
-        let (jobs, job_receiver) = mpsc::channel(QUEUED_JOBS);
+        let (jobs, receiver) = mpsc::channel(QUEUED_JOBS);
+        Self::start_device(|parts| {
+            let Parts {
+                state,
+                memory,
+                engine,
+                histograms,
+                pins,
+                open_steps,
+                proven,
+            } = parts;
+            let thread = DeviceThread {
+                types: options.types,
+                retries_opening: options.retries_opening,
+                surface_bytes: options.surface_bytes,
+                request_time: options.request_time,
+                user_times: UserTimes::new(options.user_time),
+                report: state,
+                report_memory: Box::new(move |used| _ = memory.send_replace(used)),
+                engine,
+                histograms,
+                pins,
+                open_steps,
+                proven,
+                observer: Arc::new(Metrics),
+                activity: Arc::default(),
+            };
+            let thread = device_thread::spawn(move || thread.run(options.choose, receiver))?;
+            Ok((Jobs::Thread(jobs), thread))
+        })
+    }
+
+    /// As [`DeviceWorker::start_with`], but the device is opened and used by a process of its own, so that a driver that crashes, hangs or
+    /// takes all memory ends that process alone. The process is then replaced. Call this within a runtime of tokio.
+    ///
+    /// # Errors
+    /// The thread that starts the process cannot be started.
+    pub fn start_process(options: DeviceOptions) -> std::io::Result<Self> {
+        Self::start_device(|parts| {
+            let (link, thread) = process::start(options, parts)?;
+            Ok((Jobs::Process(link), thread))
+        })
+    }
+
+    /// Creates a worker. `start` starts the thread that serves the jobs.
+    fn start_device(start: impl FnOnce(Parts) -> std::io::Result<(Jobs, JoinHandle<()>)>) -> std::io::Result<Self> {
         let (state, state_receiver) = watch::channel(DeviceState::Opening(Preparation::default()));
         let (memory, memory_receiver) = watch::channel(WorkspaceMemory::default());
-        let histograms = HistogramCache::default();
         let pins = WaitingPins::default();
-        let open_steps = OpenSteps::default();
-        let proven = Arc::new(OnceLock::new());
-        let engine = Arc::new(AtomicU64::default());
-        let thread = DeviceThread {
-            types,
-            retries_opening,
-            surface_bytes,
-            request_time,
-            user_times: UserTimes::new(user_time),
-            state: Arc::new(state),
+        let parts = Parts {
+            state: StateReporter::new(state),
             memory,
-            engine: Arc::clone(&engine),
-            histograms: histograms.clone(),
+            engine: Arc::default(),
+            histograms: HistogramCache::default(),
             pins: pins.pins.clone(),
-            open_steps: open_steps.clone(),
-            proven: Arc::clone(&proven),
+            open_steps: OpenSteps::default(),
+            proven: Arc::default(),
         };
-        let thread = std::thread::Builder::new()
-            .name("isopeel-device".into())
-            .stack_size(STACK_BYTES)
-            .spawn(move || thread.run(choose, job_receiver))?;
+        let (engine, proven) = (Arc::clone(&parts.engine), Arc::clone(&parts.proven));
+        let (histograms, open_steps) = (parts.histograms.clone(), parts.open_steps.clone());
+        let (jobs, thread) = start(parts)?;
         Ok(Self {
             shared: Arc::new(Shared {
                 jobs: Some(jobs),
+                space: Arc::new(Semaphore::new(QUEUED_JOBS)),
                 state: state_receiver,
                 memory: memory_receiver,
                 engine,
@@ -331,7 +379,8 @@ impl DeviceWorker {
             permit = self.shared.permits.wait(caller, length) => permit,
             () = token.cancelled() => return Err(WorkError::Cancelled.into()),
         };
-        let (reply, outcome) = oneshot::channel();
+        let space = self.space(caller).await?;
+        let (requester, outcome) = LocalRequester::new(job_labels(caller, length), space);
         let token = token.child_token();
         // Cancels the job if its caller is gone.
         let _guard = (caller != Caller::Cache).then(|| token.clone().drop_guard());
@@ -339,13 +388,14 @@ impl DeviceWorker {
             request,
             length,
             token: token.clone(),
-            reply,
+            requester: Box::new(requester),
             permit,
             span: tracing::Span::current(),
-            labels: job_labels(caller, length),
-            queued: Instant::now(),
+            trace: TRACE.try_with(Clone::clone).ok(),
         };
-        self.send(caller, job).await?;
+        if !self.shared.jobs.as_ref().is_some_and(|jobs| jobs.send(job)) {
+            return Err(self.stop_error().into());
+        }
         tokio::select! {
             outcome = outcome => outcome.unwrap_or_else(|_| Err(self.stop_error().into())),
             () = token.cancelled(), if length == Length::Rest => Err(WorkError::Cancelled.into()),
@@ -357,16 +407,19 @@ impl DeviceWorker {
         Ok(self.run(Caller::Cache, request, &CancellationToken::new()).await?)
     }
 
-    /// Puts a job into the queue. If the queue is full, refuses a job of a request. Jobs of other callers wait for space.
-    async fn send(&self, caller: Caller, job: DeviceJob) -> Result<(), WorkError> {
-        let jobs = self.shared.jobs.as_ref().ok_or(WorkError::Stopped)?;
+    /// Returns space for a job in the queue. If the queue is full, refuses the job of a request. Other callers wait.
+    async fn space(&self, caller: Caller) -> Result<OwnedSemaphorePermit, WorkError> {
+        let space = Arc::clone(&self.shared.space);
         match caller {
-            Caller::Request => jobs.try_send(job).map_err(|refused| match refused {
-                mpsc::error::TrySendError::Full(_) => WorkError::Busy,
-                mpsc::error::TrySendError::Closed(_) => self.stop_error(),
-            }),
-            Caller::Viewer | Caller::Cache => jobs.send(job).await.map_err(|_| self.stop_error()),
+            Caller::Request => space.try_acquire_owned().map_err(|_| WorkError::Busy),
+            // The semaphore is never closed.
+            Caller::Viewer | Caller::Cache => space.acquire_owned().await.map_err(|_| WorkError::Stopped),
         }
+    }
+
+    /// Returns the number of jobs that wait in the queue.
+    pub fn queued(&self) -> usize {
+        QUEUED_JOBS - self.shared.space.available_permits()
     }
 
     /// Runs a slice of work on a whole volume. Callers take turns: only one slice is queued at a time.

@@ -9,17 +9,28 @@
  *             run, and the driver says that it did; "nobuild K": the program that has kernel K does not build.
  *             "kill K": as "crash K", by a signal that the driver does not send.
  *             All but "nobuild" happen on all devices, or on those whose name begins with DEVICE_FAULT_ON.
+ *   "leak N"  the next launch of a kernel takes N MiB of memory and never frees them. The file is removed.
  *   "full N"  no buffer of more than N bytes can be had as long as the file is there.
+ *   "peek"    the next launch of a kernel tries what a hostile driver would: to list or read each path in DEVICE_FAULT_PEEK (separated by
+ *             colons), to make a file in it or beside it, to use TCP (the port in DEVICE_FAULT_PORT), to signal its parent and to read its
+ *             memory. The file is removed; another one, its name with ".seen", has a line for each, with the
+ *             outcome.
  *
  * A lost device answers "out of resources", as NVIDIA's driver does: the caller cannot tell that from memory that ran out. */
+#define _GNU_SOURCE
 #define CL_TARGET_OPENCL_VERSION 120
 #include <CL/cl_layer.h>
+#include <arpa/inet.h>
+#include <errno.h>
+#include <fcntl.h>
 #include <pthread.h>
 #include <signal.h>
 #include <stddef.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/socket.h>
+#include <sys/stat.h>
 #include <unistd.h>
 
 enum { MAX_OBJECTS = 1024 };
@@ -157,10 +168,78 @@ static cl_int CL_API_CALL build_program(cl_program program, cl_uint count, const
     return target->clBuildProgram(program, count, devices, options, notify, data);
 }
 
+/* Takes memory if the file says so. */
+static void leak(void) {
+    char text[64];
+    pthread_mutex_lock(&lock);
+    read_fault(text);
+    int is = strncmp(text, "leak ", 5) == 0;
+    if (is) unlink(getenv("DEVICE_FAULT"));
+    pthread_mutex_unlock(&lock);
+    size_t bytes = is ? strtoull(text + 5, NULL, 10) << 20 : 0;
+    /* Static, or the compiler leaves both calls out. */
+    static void *volatile memory;
+    memory = is ? malloc(bytes) : NULL;
+    if (memory) memset(memory, 1, bytes);
+}
+
+static void write_outcome(FILE *out, const char *what, const char *where, int result) {
+    fprintf(out, "%s %s: %s\n", what, where, result < 0 ? strerror(errno) : "done");
+}
+
+/* Tries to list or read a path, and to make a file in it or beside it. */
+static void try_path(FILE *out, const char *path) {
+    struct stat status;
+    char made[4096];
+    int is_folder = stat(path, &status) == 0 && S_ISDIR(status.st_mode);
+    int file = open(path, O_RDONLY);
+    write_outcome(out, "read", path, file);
+    if (file >= 0) close(file);
+    snprintf(made, sizeof made, is_folder ? "%s/made" : "%s.made", path);
+    file = open(made, O_WRONLY | O_CREAT, 0600);
+    write_outcome(out, "make", path, file);
+    if (file >= 0) {
+        close(file);
+        unlink(made);
+    }
+}
+
+/* Tries what a hostile driver would, if the file says so. */
+static void peek(void) {
+    char text[64], seen[4096], unfinished[4096], memory[64];
+    const char *path = getenv("DEVICE_FAULT"), *paths = getenv("DEVICE_FAULT_PEEK"), *port = getenv("DEVICE_FAULT_PORT");
+    pthread_mutex_lock(&lock);
+    read_fault(text);
+    int is = strcmp(text, "peek") == 0 && paths && port;
+    if (is) unlink(path);
+    pthread_mutex_unlock(&lock);
+    if (!is) return;
+    snprintf(seen, sizeof seen, "%s.seen", path);
+    snprintf(unfinished, sizeof unfinished, "%s.unfinished", path);
+    FILE *out = fopen(unfinished, "w");
+    if (!out) return;
+    char *list = strdup(paths), *rest = list, *one;
+    while ((one = strsep(&rest, ":"))) try_path(out, one);
+    free(list);
+    try_path(out, getenv("TMPDIR"));
+    struct sockaddr_in address = {.sin_family = AF_INET, .sin_port = htons(atoi(port)), .sin_addr.s_addr = htonl(INADDR_LOOPBACK)};
+    int client = socket(AF_INET, SOCK_STREAM, 0), server = socket(AF_INET, SOCK_STREAM, 0);
+    write_outcome(out, "connect", "TCP", connect(client, (struct sockaddr *)&address, sizeof address));
+    address.sin_port = 0;
+    write_outcome(out, "listen", "TCP", bind(server, (struct sockaddr *)&address, sizeof address));
+    write_outcome(out, "signal", "parent", kill(getppid(), 0));
+    snprintf(memory, sizeof memory, "/proc/%d/mem", getppid());
+    write_outcome(out, "memory", "parent", open(memory, O_RDONLY));
+    fclose(out);
+    rename(unfinished, seen);
+}
+
 static cl_int CL_API_CALL enqueue_kernel(cl_command_queue queue, cl_kernel kernel, cl_uint dims, const size_t *offset, const size_t *global,
                                          const size_t *local, cl_uint waits, const cl_event *wait_list, cl_event *event) {
     if (is_lost(queue)) return CL_OUT_OF_RESOURCES;
     if (is_fault("fail")) return CL_INVALID_OPERATION;
+    leak();
+    peek();
     if (is_kernel_fault("crash", queue, kernel)) abort();
     if (is_kernel_fault("kill", queue, kernel)) raise(SIGKILL);
     while (is_kernel_fault("hang", queue, kernel)) sleep(1);

@@ -18,49 +18,78 @@ const SOON: Duration = Duration::from_secs(5);
 /// The asserted limit, for a machine that is also used by others.
 const LIMIT: Duration = Duration::from_secs(60);
 
+/// Environment variable of a folder that the process of the device may read and write. The layer uses it; PoCL does not.
+pub const DRIVER_FOLDER: &str = "MESA_SHADER_CACHE_DIR";
+
+/// Creates the folder of [`DRIVER_FOLDER`] in the folder of a test, unless it exists, and returns it.
+pub fn driver_folder(folder: &Path) -> PathBuf {
+    let driver = folder.join("driver");
+    std::fs::create_dir_all(&driver).expect("a folder");
+    driver
+}
+
 /// A server whose device fails as the test says.
-struct Faulty {
-    process: Process,
+pub struct Faulty {
+    pub process: Process,
     folder: TempDir,
 }
 
 impl Faulty {
     /// Starts a server with a ball beside the demo; `None` if there is no device.
-    fn start() -> Option<Self> {
+    pub fn start() -> Option<Self> {
+        Self::start_with(&[])
+    }
+
+    /// As [`Faulty::start`], with these options too.
+    pub fn start_with(options: &[&str]) -> Option<Self> {
+        Self::start_in(tempfile::tempdir().expect("a folder"), options, &[])
+    }
+
+    /// As [`Faulty::start_with`], with the volume and the driver in this folder, in an environment that has these variables too.
+    pub fn start_in(folder: TempDir, options: &[&str], environment: &[(&str, &Path)]) -> Option<Self> {
         if !server::has_device() {
             return None;
         }
-        let folder = tempfile::tempdir().expect("a folder");
         let layer = build_layer(folder.path());
         let volume = folder.path().join("ball.npy");
         ball::write(&volume);
-        let environment = [
+        let driver = driver_folder(folder.path());
+        let fault = driver.join("fault");
+        let faulty = [
             ("OPENCL_LAYERS", &*layer),
-            ("DEVICE_FAULT", &*folder.path().join("fault")),
+            ("DEVICE_FAULT", &*fault),
+            (DRIVER_FOLDER, &*driver),
         ];
-        let process = process::start_in(&[volume], &["--demo"], &environment)?;
+        let environment = [&faulty[..], environment].concat();
+        let options: Vec<_> = ["--demo"].iter().chain(options).copied().collect();
+        let process = process::start_in(&[volume], &options, &environment)?;
         Some(Self { process, folder })
     }
 
-    fn address(&self) -> SocketAddr {
+    pub fn address(&self) -> SocketAddr {
         self.process.address
     }
 
     /// Makes the device fail in this way from now on.
-    fn fail(&self, what: &str) {
+    pub fn fail(&self, what: &str) {
         // Renamed into place, so that it is never read half written.
-        let new = self.folder.path().join("new");
+        let new = self.driver().join("new");
         std::fs::write(&new, what).expect("written");
         std::fs::rename(new, self.fault()).expect("renamed");
     }
 
     /// Ends the failure of the device.
-    fn mend(&self) {
+    pub fn mend(&self) {
         std::fs::remove_file(self.fault()).expect("the fault was still there");
     }
 
     fn fault(&self) -> PathBuf {
-        self.folder.path().join("fault")
+        self.driver().join("fault")
+    }
+
+    /// The folder that the process of the device may write.
+    pub fn driver(&self) -> PathBuf {
+        driver_folder(self.folder.path())
     }
 
     /// How often the device was lost.
@@ -73,7 +102,7 @@ impl Faulty {
     }
 
     /// Waits until the device is ready; returns how long that took.
-    fn ready(&self) -> Duration {
+    pub fn ready(&self) -> Duration {
         let start = Instant::now();
         while http::get(self.address(), "/readyz").status != 200 {
             assert!(start.elapsed() < LIMIT, "the device is not back");
@@ -101,7 +130,7 @@ fn extract(address: SocketAddr, iso: f32) -> http::Answer {
 }
 
 /// Counts of the surface, without times.
-fn counts(statistics: &Value) -> (Option<u64>, Option<u64>) {
+pub fn counts(statistics: &Value) -> (Option<u64>, Option<u64>) {
     (statistics["triangles"].as_u64(), statistics["fullTriangles"].as_u64())
 }
 
@@ -159,9 +188,11 @@ async fn where_the_driver_asks_for_another_process_the_server_is_back_with_its_a
         return;
     }
     let folder = tempfile::tempdir().expect("a folder");
+    let driver = driver_folder(folder.path());
     let environment = [
         ("OPENCL_LAYERS", &*build_layer(folder.path())),
-        ("DEVICE_FAULT", &*folder.path().join("fault")),
+        ("DEVICE_FAULT", &*driver.join("fault")),
+        (DRIVER_FOLDER, &*driver),
     ];
     let Some((process, line)) = process::launch_in(&[], &["--demo"], &environment) else {
         return;
@@ -172,7 +203,7 @@ async fn where_the_driver_asks_for_another_process_the_server_is_back_with_its_a
     let get = |path: &str| http::send(address, "GET", path, &[("Authorization", &bearer)], b"");
     let status = |path: &str| get(path).map(|answer| answer.status);
     assert_eq!(status("/api/v1/volumes"), Some(200));
-    std::fs::write(folder.path().join("fault"), "spoiled").expect("written");
+    std::fs::write(driver.join("fault"), "spoiled").expect("written");
     let body = json!({"volume": demo::ID, "iso": 100, "format": "stl"}).to_string();
     let headers = [("Authorization", &*bearer), ("Content-Type", "application/json")];
     let ask = || http::send(address, "POST", "/api/v1/extract", &headers, body.as_bytes());

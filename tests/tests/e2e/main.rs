@@ -13,6 +13,7 @@ mod bytes;
 mod cameras;
 mod command_line;
 mod crowd;
+mod device_process;
 mod documentation;
 mod documented;
 mod drivers;

@@ -194,6 +194,9 @@ async fn an_edit_has_its_trace_in_a_log_of_json() {
         .map(|line| line["message"].as_str().unwrap_or_default())
         .collect();
     assert!(said.contains(&"a surface is done"), "{said:?} in\n{text}");
+    // The device's lines, too.
+    let of_job = |line: &&Value| line["message"] == "a job has ended" && line["span"]["trace"] == trace.as_str();
+    assert!(lines.iter().filter(of_job).count() > 0, "{text}");
 }
 
 #[test]

@@ -83,6 +83,10 @@ pub struct Args {
     #[arg(long)]
     guards: bool,
 
+    /// In `stream` and `camera`: use the driver in the server's own process, as `isopeel serve --in-process` does
+    #[arg(long)]
+    in_process: bool,
+
     /// Folder to write every volume into, as NRRD, so that other programs can be timed on the same samples
     #[arg(long, value_name = "DIR")]
     save: Option<PathBuf>,

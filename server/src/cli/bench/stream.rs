@@ -133,7 +133,7 @@ pub(super) fn run(args: &Args, recipe: &Recipe) -> Result<(), BenchError> {
     let (dataset, counts) = dataset(args, recipe)?;
     runtime()?.block_on(async {
         let id = dataset.id.clone();
-        let server = Server::start(dataset, &args.device).await?;
+        let server = Server::start(dataset, &args.device, args.in_process).await?;
         let mut client = Client::connect(server.address, &id).await?;
         let opening = client.open(0).await?;
         let mut bench = Bench {

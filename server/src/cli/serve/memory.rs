@@ -81,7 +81,7 @@ impl MemoryArgs {
 /// where glibc cannot return freed memory between live allocations.
 ///
 /// A thread returns free pages between smaller allocations. Without it, they grew to 0.1 GB within ten minutes with many viewers.
-fn return_freed_memory() {
+pub(in crate::cli) fn return_freed_memory() {
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
     {
         // SAFETY: the call only sets a parameter of the allocator.

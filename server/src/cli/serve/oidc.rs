@@ -49,6 +49,11 @@ pub enum Error {
 }
 
 impl OidcArgs {
+    /// Returns the file of the client secret.
+    pub(super) fn secret_file(&self) -> Option<&PathBuf> {
+        self.oidc_client_secret_file.as_ref()
+    }
+
     /// Returns the sign-in of the arguments, if they name an issuer. `is_open` means that the server runs without authentication.
     pub(super) fn open(&self, public: Option<&PublicUrl>, is_open: bool) -> Result<Option<Oidc>, Error> {
         let Some(issuer) = &self.oidc_issuer else {

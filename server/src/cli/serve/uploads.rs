@@ -39,6 +39,11 @@ impl UploadArgs {
         self.uploads.is_some()
     }
 
+    /// Returns the folder of uploads.
+    pub(super) fn folder(&self) -> Option<&PathBuf> {
+        self.uploads.as_ref()
+    }
+
     /// Opens the uploads of the folder, and adds their volumes to the catalog. `args` are all options of the server.
     pub(super) fn open(&self, args: &Args, catalog: &SharedCatalog) -> Result<Option<Uploads>, FolderError> {
         let Some(path) = &self.uploads else { return Ok(None) };

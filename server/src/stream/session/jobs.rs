@@ -10,7 +10,6 @@ use isopeel_extraction::dataset_views::opening_view;
 use isopeel_extraction::{FullCount, Measurement, Shown, Step, SurfaceKey, WorkError};
 use serde_json::value::RawValue;
 use tokio::sync::watch;
-use tracing::Instrument;
 
 use super::super::backend::{Backend, Opening};
 use super::super::groups::Member;
@@ -440,13 +439,13 @@ impl<B: Backend> Session<B> {
             rest.mark_queued();
             let (number, token) = (rest.generation, rest.token.clone());
             let request = request(rest.view.clone(), rest.key.clone());
-            let span = self.id.trace(number).span();
+            let trace = self.id.trace(number);
             return Some(match work {
                 RestWork::Improve => Box::pin(
-                    async move { DeviceDone::Improved(number, shared.improve(request, &token).await) }.instrument(span),
+                    trace.follow(async move { DeviceDone::Improved(number, shared.improve(request, &token).await) }),
                 ),
                 RestWork::Measure => Box::pin(
-                    async move { DeviceDone::Measured(number, shared.measure(request, &token).await) }.instrument(span),
+                    trace.follow(async move { DeviceDone::Measured(number, shared.measure(request, &token).await) }),
                 ),
             });
         }
@@ -458,10 +457,10 @@ impl<B: Backend> Session<B> {
         let others_first = self.member.as_ref().filter(has_to_wait).map(Member::others_first);
         let (number, token) = (generation.number, generation.token.clone());
         let request = request(generation.view.clone(), generation.key.clone());
-        let span = self.id.trace(number).span();
+        let trace = self.id.trace(number);
         if job == NextJob::Count {
             let count = async move { DeviceDone::Counted(number, shared.count(request, &token).await) };
-            return Some(Box::pin(count.instrument(span)));
+            return Some(Box::pin(trace.follow(count)));
         }
         let step = Step {
             shown: generation.shown,
@@ -478,7 +477,7 @@ impl<B: Backend> Session<B> {
             }
             DeviceDone::Refined(number, shared.refine(request, step, &token).await)
         };
-        Some(Box::pin(refine.instrument(span)))
+        Some(Box::pin(trace.follow(refine)))
     }
 
     /// Returns the coding of the next step: the client's coding for slow lines, if it has requested one and the line is known to be slow.

@@ -2,6 +2,10 @@
 
 use std::fmt;
 
+use tracing::Instrument;
+
+use crate::service::TRACE;
+
 /// Id of a viewer's connection; random, so that ids of two runs of the server differ too.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct ConnectionId(u32);
@@ -23,9 +27,10 @@ impl ConnectionId {
 pub(super) struct Trace(ConnectionId, u32);
 
 impl Trace {
-    /// Returns a span whose log lines have the trace.
-    pub(super) fn span(self) -> tracing::Span {
-        tracing::info_span!("edit", trace = %self)
+    /// Returns a future whose log lines have the trace, those of the device included.
+    pub(super) fn follow<F: Future>(self, work: F) -> impl Future<Output = F::Output> {
+        let span = tracing::info_span!("edit", trace = %self);
+        TRACE.scope(self.to_string(), work.instrument(span))
     }
 }
 

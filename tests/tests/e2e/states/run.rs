@@ -15,6 +15,7 @@ use super::seat::{Outcome, Seat};
 use super::sequence::{Event, Sequence};
 use super::volumes::{CHANGING, OWN, SERIES, UPLOADED};
 use super::world::{Reference, World, options, show};
+use crate::faults::{DRIVER_FOLDER, driver_folder};
 use crate::support::process::{Process, start_logged_in};
 
 /// Longest wait until followers are shown what the leader shows.
@@ -214,7 +215,7 @@ impl<'a> Run<'a> {
     }
 
     fn fault(&self) -> PathBuf {
-        self.folder.join("fault")
+        driver_folder(self.folder).join("fault")
     }
 
     /// One more viewer follows the first.
@@ -328,14 +329,16 @@ fn compare_all(model: &Model, found: &[Outcome; 4], reference: &Reference) -> Re
 
 /// A server of the sequence, whose device fails as the folder says.
 fn start(world: &World, sequence: &Sequence, folder: &Path, files: &Files) -> Process {
+    let driver = driver_folder(folder);
     let environment = [
         ("OPENCL_LAYERS", world.layer.as_path()),
-        ("DEVICE_FAULT", &folder.join("fault")),
+        ("DEVICE_FAULT", &driver.join("fault")),
+        (DRIVER_FOLDER, &driver),
     ];
     let log = folder.join(LOG);
     let options = options(sequence.caches);
     if !sequence.has_files {
-        return start_logged_in(&world.paths, &options, &environment, &log).expect("a device");
+        return start_logged_in(&world.paths, &options, &environment, "warn", &log).expect("a device");
     }
     let uploads = folder.join("uploads");
     let options = [
@@ -344,5 +347,5 @@ fn start(world: &World, sequence: &Sequence, folder: &Path, files: &Files) -> Pr
     ]
     .concat();
     let paths = [world.paths.clone(), files.paths()].concat();
-    start_logged_in(&paths, &options, &environment, &log).expect("a device")
+    start_logged_in(&paths, &options, &environment, "warn", &log).expect("a device")
 }

@@ -42,15 +42,16 @@ pub fn launch_in(paths: &[PathBuf], options: &[&str], environment: &[(&str, &Pat
     Some((process, line))
 }
 
-/// As [`start_in`], with its errors and panics at the end of a file.
+/// As [`start_in`], with its log from this level on, and panics, at the end of a file.
 pub fn start_logged_in(
     paths: &[PathBuf],
     options: &[&str],
     environment: &[(&str, &Path)],
+    level: &str,
     log: &Path,
 ) -> Option<Process> {
     let mut command = Command::new(command::binary());
-    command.envs(environment.iter().copied()).env("RUST_LOG", "error");
+    command.envs(environment.iter().copied()).env("RUST_LOG", level);
     let options: Vec<_> = options.iter().copied().chain(["--no-auth"]).collect();
     let log = std::fs::File::options().create(true).append(true).open(log);
     let (process, _) = spawn(command, paths, &options, log.expect("a file").into())?;
@@ -113,26 +114,54 @@ fn spawn(mut command: Command, paths: &[PathBuf], options: &[&str], log: Stdio) 
 }
 
 impl Process {
-    fn proc(&self, name: &str) -> String {
-        let path = format!("/proc/{}/{name}", self.child.id());
-        std::fs::read_to_string(&path).unwrap_or_else(|error| panic!("{path}: {error}"))
+    /// Process id of the process of its device; `None` while there is none.
+    pub fn device_process(&self) -> Option<u32> {
+        let parent = self.child.id().to_string();
+        let found = Command::new("pgrep").args(["-P", &parent, "-f", " worker "]).output();
+        String::from_utf8(found.expect("pgrep runs").stdout)
+            .expect("UTF-8")
+            .trim()
+            .parse()
+            .ok()
     }
 
-    /// Time of processors that it has used.
+    /// Sends a signal to the process of its device: `KILL`, `STOP`. Waits until there is one.
+    pub fn signal_device(&self, name: &str) {
+        let start = Instant::now();
+        let id = loop {
+            match self.device_process() {
+                Some(id) => break id,
+                None => assert!(start.elapsed() < Duration::from_secs(60), "no process of the device"),
+            }
+            std::thread::sleep(Duration::from_millis(10));
+        };
+        let status = Command::new("kill")
+            .args([&format!("-{name}"), &id.to_string()])
+            .status();
+        assert!(status.expect("kill runs").success());
+    }
+
+    /// A file of `/proc` about the server, and about the process of its device.
+    fn proc(&self, name: &str) -> Vec<String> {
+        let read = |id: u32| {
+            let path = format!("/proc/{id}/{name}");
+            std::fs::read_to_string(&path).unwrap_or_else(|error| panic!("{path}: {error}"))
+        };
+        [self.child.id()]
+            .into_iter()
+            .chain(self.device_process())
+            .map(read)
+            .collect()
+    }
+
+    /// Time of processors that it has used, with the process of its device.
     pub fn cpu_seconds(&self) -> f64 {
-        let stat = self.proc("stat");
-        let (_, fields) = stat.rsplit_once(')').expect("a name in brackets");
-        let ticks = fields.split_whitespace().skip(11).take(2);
-        // Linux reports 100 ticks per second on all machines.
-        ticks.map(|ticks| ticks.parse::<f64>().expect("a number")).sum::<f64>() / 100.0
+        self.proc("stat").iter().map(|stat| seconds_of(stat)).sum()
     }
 
-    /// Bytes of its memory.
+    /// Bytes of its memory, with the process of its device.
     pub fn resident_bytes(&self) -> u64 {
-        let status = self.proc("status");
-        let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:"));
-        let kilobytes = line.and_then(|line| line.split_whitespace().next()?.parse::<u64>().ok());
-        kilobytes.expect("the system says it") << 10
+        self.proc("status").iter().map(|status| resident_of(status)).sum()
     }
 
     /// Sends it a signal: `TERM`, `HUP`.
@@ -154,6 +183,21 @@ impl Process {
             std::thread::sleep(Duration::from_millis(5));
         }
     }
+}
+
+/// Time of processors that a process has used, of `/proc/ID/stat`.
+fn seconds_of(stat: &str) -> f64 {
+    let (_, fields) = stat.rsplit_once(')').expect("a name in brackets");
+    let ticks = fields.split_whitespace().skip(11).take(2);
+    // Linux reports 100 ticks per second on all machines.
+    ticks.map(|ticks| ticks.parse::<f64>().expect("a number")).sum::<f64>() / 100.0
+}
+
+/// Memory of a process without that which it shares, of `/proc/ID/status`.
+fn resident_of(status: &str) -> u64 {
+    let line = status.lines().find_map(|line| line.strip_prefix("RssAnon:"));
+    let kilobytes = line.and_then(|line| line.split_whitespace().next()?.parse::<u64>().ok());
+    kilobytes.expect("the system says it") << 10
 }
 
 impl Drop for Process {

@@ -82,7 +82,7 @@ pub fn run(args: &Args, recipes: &[Recipe], files: Vec<Dataset>) -> Result<(), B
 fn run_dataset(args: &Args, dataset: Dataset, iso: Option<f32>) -> Result<(), BenchError> {
     let shown = dataset.clone();
     runtime()?.block_on(async {
-        let server = Server::start(dataset, &args.device).await?;
+        let server = Server::start(dataset, &args.device, args.in_process).await?;
         let mut client = Client::connect(server.address, &shown.id).await?;
         let opening = client.open(0).await?;
         let edit = Edit {

@@ -6,12 +6,14 @@ use isopeel_volumes::{Catalog, Dataset};
 use tokio::net::TcpListener;
 use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
+use tracing_subscriber::filter::LevelFilter;
 
 use super::StreamError;
 use crate::access::Access;
 use crate::cli::device::DeviceArgs;
+use crate::cli::worker;
 use crate::serve::{self, Config, ServeError};
-use crate::service::DeviceWorker;
+use crate::service::{DeviceOptions, DeviceWorker};
 
 /// A server of one dataset.
 pub struct Server {
@@ -21,14 +23,23 @@ pub struct Server {
 }
 
 impl Server {
-    /// Starts a server as `isopeel serve` does, without authentication and without a limit of triangles.
-    pub async fn start(dataset: Dataset, device: &DeviceArgs) -> Result<Self, StreamError> {
+    /// Starts a server as `isopeel serve` does, without authentication and without a limit of triangles. `in_process`: whether it uses the
+    /// driver itself.
+    pub async fn start(dataset: Dataset, device: &DeviceArgs, in_process: bool) -> Result<Self, StreamError> {
         let types = dataset.fields.iter().map(|field| field.sample_type).collect();
         let mut catalog = Catalog::default();
         catalog.add(dataset);
         let listener = TcpListener::bind("127.0.0.1:0").await?;
         let address = listener.local_addr()?;
-        let worker = DeviceWorker::start_with(device.options(types, |_| ()))?;
+        let options = DeviceOptions {
+            arguments: worker::log_level(LevelFilter::WARN),
+            ..device.options(types, |_| ())
+        };
+        let worker = if in_process {
+            DeviceWorker::start_with(options)?
+        } else {
+            DeviceWorker::start_process(options)?
+        };
         let config = Config::new(catalog.into(), worker, Access::new(address, &[], &[]));
         let shutdown = CancellationToken::new();
         let task = tokio::spawn(serve::run(listener, config, shutdown.clone().cancelled_owned()));

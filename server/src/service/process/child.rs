@@ -1,0 +1,213 @@
+//! The process of the device, as its parent sees it.
+
+use std::io;
+use std::os::fd::{AsRawFd, OwnedFd};
+use std::os::unix::net::UnixStream;
+use std::os::unix::process::{CommandExt, ExitStatusExt};
+use std::process::Command;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+use isopeel_extraction::lock;
+
+use super::channel::{Receiver, Sender};
+use super::confine::Confinement;
+use super::messages::Beat;
+use super::shared_memory::{End, SharedMemory};
+use crate::device::{end_with_parent, program};
+
+/// Why the server has killed the process.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Killed {
+    /// The process has sent no sign of life.
+    Silent,
+    /// The driver has not executed a command for too long.
+    Stuck,
+    /// The process has taken too much memory.
+    Memory,
+    /// The process is replaced: its driver can only be used by a new one, or it has sent something that is no message.
+    Replaced,
+    /// The server ends.
+    Stopping,
+}
+
+/// How the process has ended.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Ended {
+    /// Text for the log.
+    pub how: String,
+    /// Label in the metrics.
+    pub reason: &'static str,
+    /// Whether the running request may be the cause.
+    pub is_caused_by_request: bool,
+}
+
+impl Ended {
+    /// Returns the end of a process that could not be started.
+    pub(super) fn not_started(error: &io::Error) -> Self {
+        Self {
+            how: format!("it cannot be started: {error}"),
+            reason: "unknown",
+            is_caused_by_request: false,
+        }
+    }
+}
+
+/// A running process.
+pub(super) struct Child {
+    process: Mutex<std::process::Child>,
+    killed: Mutex<Option<Killed>>,
+    /// Number of messages that were received so far.
+    messages: AtomicU64,
+    beat: Mutex<Beat>,
+}
+
+impl Child {
+    /// Starts the process, which confines itself if `confinement` is given. Returns it with both ends of its channel. On Linux the process
+    /// is killed when the calling thread ends.
+    ///
+    /// # Errors
+    /// The system has no memory or process left.
+    pub(super) fn start(
+        arguments: &[String],
+        confinement: Option<&Confinement>,
+    ) -> io::Result<(Self, Sender, Receiver)> {
+        let (memory, file) = SharedMemory::create()?;
+        let (socket, inherited) = UnixStream::pair()?;
+        let rules = confinement.map(Confinement::to_file).transpose()?;
+        let mut files = vec![("--socket", inherited.as_raw_fd()), ("--memory", file.as_raw_fd())];
+        files.extend(rules.as_ref().map(|rules| ("--confinement", rules.as_raw_fd())));
+        let mut command = Command::new(program()?);
+        command
+            // The name in lists of processes.
+            .arg0("isopeel")
+            .arg("worker")
+            .args(arguments)
+            .args(
+                files
+                    .iter()
+                    .flat_map(|(name, file)| [(*name).to_owned(), file.to_string()]),
+            )
+            .envs(
+                confinement
+                    .and_then(Confinement::temporary)
+                    .map(|folder| ("TMPDIR", folder)),
+            )
+            .stdin(std::process::Stdio::null())
+            // A separate group does not receive Ctrl-C at the terminal.
+            .process_group(0);
+        // Keys of stores are for the server, which reads volumes.
+        for (name, _) in std::env::vars_os().filter(|(name, _)| name.as_encoded_bytes().starts_with(b"AWS_")) {
+            command.env_remove(name);
+        }
+        // SAFETY: the closure only makes system calls, which is allowed between fork and exec.
+        unsafe {
+            command.pre_exec(move || {
+                for (_, file) in &files {
+                    if libc::fcntl(*file, libc::F_SETFD, 0) < 0 {
+                        return Err(io::Error::last_os_error());
+                    }
+                }
+                Ok(())
+            });
+        }
+        end_with_parent(&mut command);
+        let process = command.spawn()?;
+        drop::<(UnixStream, OwnedFd, Option<OwnedFd>)>((inherited, file, rules));
+        let memory = Arc::new(memory);
+        let sender = Sender::new(socket.try_clone()?, Arc::clone(&memory), End::Server);
+        let receiver = Receiver::new(socket, memory, End::Server);
+        let child = Self {
+            process: Mutex::new(process),
+            killed: Mutex::default(),
+            messages: AtomicU64::default(),
+            beat: Mutex::default(),
+        };
+        Ok((child, sender, receiver))
+    }
+
+    /// Returns the process id.
+    pub(super) fn id(&self) -> u32 {
+        lock(&self.process).id()
+    }
+
+    /// Records that a message was received.
+    pub(super) fn received(&self) {
+        self.messages.fetch_add(1, Ordering::Relaxed);
+    }
+
+    /// Returns the number of messages that were received so far.
+    pub(super) fn messages(&self) -> u64 {
+        self.messages.load(Ordering::Relaxed)
+    }
+
+    pub(super) fn set_beat(&self, beat: Beat) {
+        *lock(&self.beat) = beat;
+    }
+
+    /// Returns the last sign of life.
+    pub(super) fn beat(&self) -> Beat {
+        *lock(&self.beat)
+    }
+
+    /// Kills the process because the server ends.
+    pub(super) fn kill(&self) {
+        self.kill_for(Killed::Stopping);
+    }
+
+    /// Kills the process.
+    pub(super) fn kill_for(&self, why: Killed) {
+        lock(&self.killed).get_or_insert(why);
+        // An error is ignored: the process has ended.
+        let _ = lock(&self.process).kill();
+    }
+
+    /// Waits for the end of a process that has closed its end of the channel, and returns how it ended.
+    pub(super) fn end(&self) -> Ended {
+        // A process that closes the channel is about to end. It must not go on without a server.
+        let killed = *lock(&self.killed);
+        let status = wait_or_kill(&mut lock(&self.process));
+        let ended = |how: &str, reason, is_caused_by_request| Ended {
+            how: how.to_owned(),
+            reason,
+            is_caused_by_request,
+        };
+        match (killed, status) {
+            (Some(Killed::Stopping), _) => ended("the server ends", "stopped", false),
+            (Some(Killed::Replaced), _) => ended("it cannot use the driver any more", "replaced", false),
+            (Some(Killed::Silent), _) => ended("it gave no sign of life and was killed", "silent", false),
+            (Some(Killed::Stuck), _) => ended("its driver was stuck, and it was killed", "stuck", true),
+            (Some(Killed::Memory), _) => ended("it took too much memory and was killed", "memory", true),
+            (None, Err(error)) => ended(&error.to_string(), "unknown", false),
+            (None, Ok(status)) => match (status.signal(), status.code()) {
+                (Some(signal @ (libc::SIGKILL | libc::SIGTERM)), _) => {
+                    let how = format!("another process has killed it (signal {signal})");
+                    ended(&how, "killed", false)
+                }
+                (Some(signal), _) => ended(&format!("signal {signal}"), "crashed", true),
+                (None, code) => ended(&format!("exit code {}", code.unwrap_or(-1)), "crashed", true),
+            },
+        }
+    }
+}
+
+impl Drop for Child {
+    fn drop(&mut self) {
+        let mut process = lock(&self.process);
+        let _ = process.kill();
+        let _ = process.wait();
+    }
+}
+
+/// Waits for a process for a moment, and kills it if it has not ended then.
+fn wait_or_kill(process: &mut std::process::Child) -> io::Result<std::process::ExitStatus> {
+    for _ in 0..100 {
+        if let Some(status) = process.try_wait()? {
+            return Ok(status);
+        }
+        std::thread::sleep(Duration::from_millis(2));
+    }
+    process.kill()?;
+    process.wait()
+}

@@ -1,0 +1,135 @@
+//! Memory that both processes have mapped, in slots.
+
+use std::io;
+use std::os::fd::OwnedFd;
+use std::sync::OnceLock;
+use std::sync::atomic::AtomicU32;
+
+use isopeel_extraction::host_memory_limit;
+use memmap2::{MmapOptions, MmapRaw};
+
+/// Number of slots for each direction: while one is read, the next message is written.
+pub(super) const SLOTS: usize = 2;
+
+/// One in this many bytes of the machine's memory stays allocated in each slot after its message was read, so that the next message finds its
+/// pages.
+const RESIDENT_SHARE: u64 = 512;
+
+/// Size of a slot, which is the maximum size of a message. Pages are allocated when they are used. If the limits of the process allow less,
+/// slots are smaller.
+const SLOT_BYTES: usize = 8 << 30;
+
+/// Minimum size of a slot.
+const MIN_SLOT_BYTES: usize = 64 << 20;
+
+/// Bytes before the first slot, for the flags.
+const FLAG_BYTES: usize = 4096;
+
+/// One of the two processes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum End {
+    /// The server.
+    Server,
+    /// The process of the device.
+    Device,
+}
+
+impl End {
+    pub(super) fn other(self) -> Self {
+        match self {
+            Self::Server => Self::Device,
+            Self::Device => Self::Server,
+        }
+    }
+}
+
+/// Memory that both processes have mapped. The flag of each slot is 1 while the slot holds a message that is not read yet.
+pub(super) struct SharedMemory {
+    map: MmapRaw,
+    pub slot_bytes: usize,
+}
+
+impl SharedMemory {
+    /// Allocates shared memory, and returns it with its file, which the other process maps.
+    ///
+    /// # Errors
+    /// The system refuses even small slots.
+    pub(super) fn create() -> io::Result<(Self, OwnedFd)> {
+        let file = rustix::fs::memfd_create("isopeel-device", rustix::fs::MemfdFlags::CLOEXEC)?;
+        let (limit, _) = rlimit::Resource::FSIZE.get()?;
+        let mut slot_bytes = SLOT_BYTES;
+        loop {
+            let bytes = FLAG_BYTES + 2 * SLOTS * slot_bytes;
+            // A file beyond the limit of the process would end the process.
+            let mapped = if bytes as u64 <= limit {
+                rustix::fs::ftruncate(&file, bytes as u64)?;
+                Self::map(&file)
+            } else {
+                Err(io::ErrorKind::FileTooLarge.into())
+            };
+            match mapped {
+                Ok(memory) => return Ok((memory, file)),
+                Err(_) if slot_bytes > MIN_SLOT_BYTES => slot_bytes /= 2,
+                Err(error) => return Err(error),
+            }
+        }
+    }
+
+    /// Maps the shared memory of the other process.
+    ///
+    /// # Errors
+    /// The system refuses, or the file is too short.
+    pub(super) fn map(file: &OwnedFd) -> io::Result<Self> {
+        let bytes = usize::try_from(rustix::fs::fstat(file)?.st_size).unwrap_or(0);
+        let slot_bytes = bytes.saturating_sub(FLAG_BYTES) / (2 * SLOTS);
+        if slot_bytes < MIN_SLOT_BYTES {
+            return Err(io::Error::other("the shared memory is too small"));
+        }
+        let map = MmapOptions::new().len(bytes).no_reserve_swap().map_raw(file)?;
+        Ok(Self { map, slot_bytes })
+    }
+
+    /// Index of a slot of one direction among all slots.
+    pub(super) fn index(sender: End, slot: usize) -> usize {
+        match sender {
+            End::Server => slot,
+            End::Device => SLOTS + slot,
+        }
+    }
+
+    pub(super) fn flag(&self, index: usize) -> &AtomicU32 {
+        // SAFETY: the flags are at the begin of the map, aligned, and only ever accessed as atomics.
+        unsafe { AtomicU32::from_ptr(self.map.as_mut_ptr().cast::<u32>().add(index)) }
+    }
+
+    pub(super) fn slot(&self, index: usize) -> *mut u8 {
+        assert!(index < 2 * SLOTS);
+        // SAFETY: the slot is within the map.
+        unsafe { self.map.as_mut_ptr().add(FLAG_BYTES + index * self.slot_bytes) }
+    }
+
+    /// Frees the pages of a slot beyond those that stay allocated.
+    pub(super) fn trim(&self, index: usize, used: usize) {
+        let resident = resident_slot_bytes();
+        if used > resident {
+            // SAFETY: the range is within the slot, whose message was read, and begins at a page.
+            unsafe {
+                let start = self.slot(index).add(resident);
+                libc::madvise(start.cast(), used - resident, libc::MADV_REMOVE)
+            };
+        }
+    }
+}
+
+/// Returns the bytes of a slot that stay allocated.
+pub(super) fn resident_slot_bytes() -> usize {
+    static BYTES: OnceLock<usize> = OnceLock::new();
+    *BYTES.get_or_init(|| {
+        // SAFETY: system calls without pointers.
+        let [pages, bytes] = [libc::_SC_PHYS_PAGES, libc::_SC_PAGESIZE].map(|name| unsafe { libc::sysconf(name) });
+        let memory = u64::try_from(pages).unwrap_or(0) * u64::try_from(bytes).unwrap_or(0);
+        let limit = host_memory_limit().unwrap_or(u64::MAX).min(memory);
+        // Whole pages.
+        (limit / RESIDENT_SHARE) as usize / FLAG_BYTES * FLAG_BYTES
+    })
+}
