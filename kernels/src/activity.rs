@@ -10,8 +10,8 @@ pub struct Activity {
 }
 
 impl Activity {
-    /// Returns the number of commands that the driver has accepted or completed so far. If it stays the same while a request runs, the
-    /// driver is executing one command, or is stuck.
+    /// Returns the number of commands that the driver has accepted or completed so far, and of other signs of progress. If it stays the same
+    /// while a request runs, the driver is executing one command, or is stuck.
     pub fn commands(&self) -> u64 {
         self.commands.load(Ordering::Relaxed)
     }
@@ -27,6 +27,11 @@ impl Activity {
     }
 
     pub(crate) fn command(&self) {
+        self.progress();
+    }
+
+    /// Records that work goes on, which no command shows: work on the host.
+    pub fn progress(&self) {
         self.commands.fetch_add(1, Ordering::Relaxed);
     }
 

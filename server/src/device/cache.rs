@@ -114,6 +114,12 @@ pub fn kernel_folders() -> Vec<PathBuf> {
     let cache = path("XDG_CACHE_HOME").or_else(|| path("HOME").map(|home| home.join(".cache")));
     let own = OWN_FOLDERS.iter().filter_map(|name| Some(cache.as_ref()?.join(name)));
     let nvidia = path("HOME").map(|home| home.join(".nv"));
+    if let Some(folder) = &nvidia
+        && Path::new("/dev/nvidiactl").exists()
+    {
+        // An error is ignored, as above.
+        let _ = private_folder::make(folder);
+    }
     let named = FOLDER_VARIABLES.iter().filter_map(|name| path(name));
     let folders = named.chain(default.into_iter().map(|(_, folder)| folder));
     folders.chain(pocl_folder()).chain(own).chain(nvidia).collect()

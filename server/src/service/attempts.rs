@@ -19,12 +19,17 @@ const MAX_REQUEST_ATTEMPTS: usize = 6;
 /// Maximum retries of a job after the device was lost while the job ran. There are few, because the job itself may be the cause.
 const MAX_DEVICE_LOSSES: usize = 1;
 
+/// Maximum retries of a job that did not begin before the process of the device ended.
+const MAX_NOT_BEGUN: usize = 5;
+
 /// State of the retries of a job, or of all slices of one piece of work.
 #[derive(Default)]
 pub(super) struct Retries {
     /// Keeps the fields that were loaded for the next attempt resident.
     pin: Option<Pinned>,
     device_losses: usize,
+    /// How often the process of the device has ended before the job began.
+    not_begun: usize,
 }
 
 impl DeviceWorker {
@@ -52,7 +57,10 @@ impl DeviceWorker {
                 drop(retries.pin.take());
                 self.make_histograms(volume, keys, token).await
             }
-            JobError::NotBegun => Ok(()),
+            JobError::NotBegun if retries.not_begun < MAX_NOT_BEGUN => {
+                retries.not_begun += 1;
+                Ok(())
+            }
             error => Err(error.into()),
         };
         match prepared {

@@ -277,15 +277,22 @@ pub(super) struct DeviceThread {
 
 impl DeviceThread {
     /// Runs jobs until all senders of the queue are dropped, or the device cannot be opened.
-    pub(super) fn run(mut self, choose: DeviceChooser, jobs: mpsc::Receiver<DeviceJob>) {
+    pub(super) fn run(mut self, choose: DeviceChooser, mut jobs: mpsc::Receiver<DeviceJob>) {
         let Some(choice) = self.report.choose(choose) else {
             return;
         };
         let engine = loop {
             match self.open(&choice) {
                 Ok(engine) => break engine,
+                Err(OpenError::Device(error)) if self.retries_opening && error.needs_new_process() => {
+                    tracing::error!(error = chain(&error), "this process cannot use the driver");
+                    self.report.set(DeviceState::NeedsNewProcess);
+                    return;
+                }
                 Err(error) if self.retries_opening && !error.has_wrong_results() && !jobs.is_closed() => {
-                    self.report_lost(&error)
+                    self.report_lost(&error);
+                    // Their callers read the reason from the device's state.
+                    while jobs.try_recv().is_ok() {}
                 }
                 Err(error) => {
                     // The state is set before the queue is dropped, so that the callers of waiting jobs find the error there.
@@ -380,6 +387,7 @@ impl DeviceThread {
     /// jobs fail.
     fn reopen(&self, choice: &Choice, workspace: &mut Workspace, queue: &mut Queue<DeviceJob>) {
         self.report.set(DeviceState::Opening(Preparation::default()));
+        *lock(&self.activity) = None;
         // Buffers of the lost device may prevent it from being reopened.
         discard(|| workspace.clear());
         loop {

@@ -154,7 +154,8 @@ fn run(
     if token.is_cancelled() {
         return Err(WorkError::Cancelled.into());
     }
-    let (cancel, mut waiting) = (Token(token), PausedQueue { queue, length });
+    let cancel = Token(token, workspace.engine().activity());
+    let mut waiting = PausedQueue { queue, length };
     let mut context = match length {
         Length::Short => JobContext::short(&cancel),
         Length::Long | Length::Field | Length::Export | Length::Rest => JobContext::long(&cancel, &mut waiting),

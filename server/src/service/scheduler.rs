@@ -4,7 +4,7 @@
 use std::sync::Arc;
 
 use isopeel_extraction::WaitingWork;
-use isopeel_kernels::Cancel;
+use isopeel_kernels::{Activity, Cancel};
 use serde::{Deserialize, Serialize};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
 use tokio_util::sync::CancellationToken;
@@ -220,11 +220,12 @@ impl<J: Job> WaitingWork<J::State> for PausedQueue<'_, J> {
     }
 }
 
-/// Adapts a token to the kernels' interface of cancellation.
-pub(super) struct Token<'a>(pub &'a CancellationToken);
+/// Adapts a token to the kernels' interface of cancellation. Each question is a sign of progress.
+pub(super) struct Token<'a>(pub &'a CancellationToken, pub Arc<Activity>);
 
 impl Cancel for Token<'_> {
     fn is_cancelled(&self) -> bool {
+        self.1.progress();
         self.0.is_cancelled()
     }
 }
@@ -306,7 +307,7 @@ mod tests {
 
     /// A job that pauses twice, unless it is cancelled, and then says what it found.
     fn pausing(log: &mut Log, queue: &mut Queue<Scripted>, token: CancellationToken, length: Length) {
-        let (cancel, mut waiting) = (Token(&token), PausedQueue { queue, length });
+        let (cancel, mut waiting) = (Token(&token, Arc::default()), PausedQueue { queue, length });
         let mut context = JobContext::long(&cancel, &mut waiting);
         let ended = context.run(log, &Vec::new, &JobTimes::default(), |cancel| {
             (1..=2)

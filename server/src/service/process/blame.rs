@@ -2,6 +2,7 @@
 
 use std::collections::HashMap;
 use std::hash::{DefaultHasher, Hash, Hasher};
+use std::time::{Duration, Instant};
 
 use isopeel_extraction::{DeviceRequest, VolumeKey, VolumeRequest, WorkError};
 use isopeel_view::View;
@@ -20,19 +21,22 @@ struct Subject {
     text: String,
 }
 
-/// Requests that have ended the process, each with how often.
+/// Time after which a request that has ended the process once is forgotten.
+const FORGOTTEN_AFTER: Duration = Duration::from_secs(600);
+
+/// Requests that have ended the process, each with how often, and when it did so last.
 #[derive(Default)]
-pub(super) struct Blame(HashMap<u64, u32>);
+pub(super) struct Blame(HashMap<u64, (u32, Instant)>);
 
 impl Blame {
     /// Records that the process has ended while it ran this request.
     pub(super) fn add(&mut self, request: &DeviceRequest) {
         let Some(subject) = subject(request) else { return };
-        if self.0.len() >= MAX_REMEMBERED {
-            self.0.retain(|_, ends| *ends >= MAX_ENDS);
-        }
-        let ends = self.0.entry(subject.key).or_default();
-        *ends += 1;
+        let is_full = self.0.len() >= MAX_REMEMBERED;
+        self.0
+            .retain(|_, (ends, last)| *ends >= MAX_ENDS || (!is_full && last.elapsed() < FORGOTTEN_AFTER));
+        let (ends, last) = self.0.entry(subject.key).or_insert((0, Instant::now()));
+        (*ends, *last) = (*ends + 1, Instant::now());
         tracing::error!(ends = *ends, "{} has ended the process of the device", subject.text);
     }
 
@@ -45,7 +49,7 @@ impl Blame {
             return Ok(());
         }
         match subject(request) {
-            Some(subject) if self.0.get(&subject.key).is_some_and(|&ends| ends >= MAX_ENDS) => {
+            Some(subject) if self.0.get(&subject.key).is_some_and(|&(ends, _)| ends >= MAX_ENDS) => {
                 Err(WorkError::EndsProcess { what: subject.text })
             }
             _ => Ok(()),

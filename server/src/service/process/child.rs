@@ -5,7 +5,6 @@ use std::os::fd::{AsRawFd, OwnedFd};
 use std::os::unix::net::UnixStream;
 use std::os::unix::process::{CommandExt, ExitStatusExt};
 use std::process::Command;
-use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
@@ -13,8 +12,7 @@ use isopeel_extraction::lock;
 
 use super::channel::{Receiver, Sender};
 use super::confine::Confinement;
-use super::messages::Beat;
-use super::shared_memory::{End, SharedMemory};
+use super::shared_memory::{Beat, End, SharedMemory};
 use crate::device::{end_with_parent, program};
 
 /// Why the server has killed the process.
@@ -58,9 +56,8 @@ impl Ended {
 pub(super) struct Child {
     process: Mutex<std::process::Child>,
     killed: Mutex<Option<Killed>>,
-    /// Number of messages that were received so far.
-    messages: AtomicU64,
-    beat: Mutex<Beat>,
+    /// Has the signs of life.
+    memory: Arc<SharedMemory>,
 }
 
 impl Child {
@@ -113,16 +110,15 @@ impl Child {
             });
         }
         end_with_parent(&mut command);
-        let process = command.spawn()?;
-        drop::<(UnixStream, OwnedFd, Option<OwnedFd>)>((inherited, file, rules));
         let memory = Arc::new(memory);
         let sender = Sender::new(socket.try_clone()?, Arc::clone(&memory), End::Server);
-        let receiver = Receiver::new(socket, memory, End::Server);
+        let receiver = Receiver::new(socket, Arc::clone(&memory), End::Server);
+        let process = command.spawn()?;
+        drop::<(UnixStream, OwnedFd, Option<OwnedFd>)>((inherited, file, rules));
         let child = Self {
             process: Mutex::new(process),
             killed: Mutex::default(),
-            messages: AtomicU64::default(),
-            beat: Mutex::default(),
+            memory,
         };
         Ok((child, sender, receiver))
     }
@@ -132,35 +128,25 @@ impl Child {
         lock(&self.process).id()
     }
 
-    /// Records that a message was received.
-    pub(super) fn received(&self) {
-        self.messages.fetch_add(1, Ordering::Relaxed);
-    }
-
-    /// Returns the number of messages that were received so far.
-    pub(super) fn messages(&self) -> u64 {
-        self.messages.load(Ordering::Relaxed)
-    }
-
-    pub(super) fn set_beat(&self, beat: Beat) {
-        *lock(&self.beat) = beat;
-    }
-
-    /// Returns the last sign of life.
-    pub(super) fn beat(&self) -> Beat {
-        *lock(&self.beat)
+    /// Returns the number of signs of life so far, and the last one.
+    pub(super) fn beats(&self) -> (u64, Beat) {
+        self.memory.beats()
     }
 
     /// Kills the process because the server ends.
     pub(super) fn kill(&self) {
-        self.kill_for(Killed::Stopping);
+        let _ = self.kill_for(Killed::Stopping);
     }
 
-    /// Kills the process.
-    pub(super) fn kill_for(&self, why: Killed) {
-        lock(&self.killed).get_or_insert(why);
+    /// Kills the process. Returns whether this is the first reason to kill it.
+    pub(super) fn kill_for(&self, why: Killed) -> bool {
+        let mut killed = lock(&self.killed);
+        let is_first = killed.is_none();
+        killed.get_or_insert(why);
+        drop(killed);
         // An error is ignored: the process has ended.
         let _ = lock(&self.process).kill();
+        is_first
     }
 
     /// Waits for the end of a process that has closed its end of the channel, and returns how it ended.

@@ -177,10 +177,6 @@ impl Sending {
 
     /// Sends a job, once a process is running. Returns false if none will be.
     fn send_job(&self, id: JobId, job: DeviceJob) -> bool {
-        if let Err(error) = lock(&self.shared.blame).check(&job.request) {
-            job.requester.ended(Err(error.into()));
-            return true;
-        }
         let starting = |connection: &mut Connection| matches!(connection, Connection::Starting);
         let connection = self.shared.connected.wait_while(lock(&self.shared.sender), starting);
         let mut connection = connection.unwrap_or_else(PoisonError::into_inner);
@@ -190,6 +186,10 @@ impl Sending {
             Connection::Starting | Connection::Failing => return true,
             Connection::Ended => return false,
         };
+        if let Err(error) = lock(&self.shared.blame).check(&job.request) {
+            job.requester.ended(Err(error.into()));
+            return true;
+        }
         let forwarding = self.forward_cancellation(id, &job.token);
         let DeviceJob {
             request,

@@ -91,8 +91,6 @@ pub(super) enum FromDevice {
     Memory(WorkspaceMemory),
     /// An event for the metrics.
     Observed(Event),
-    /// The process is alive.
-    Beat(Beat),
 }
 
 /// An event of a workspace.
@@ -101,13 +99,4 @@ pub(super) enum Event {
     LookedUp { cache: String, is_hit: bool },
     Stage { stage: String, milliseconds: f64 },
     DeviceLost,
-}
-
-/// A sign of life.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub(super) struct Beat {
-    /// As [`isopeel_kernels::Activity::commands`]; `None` while the device is not open.
-    pub commands: Option<u64>,
-    /// As [`isopeel_kernels::Activity::may_compile`].
-    pub may_compile: bool,
 }

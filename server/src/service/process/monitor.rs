@@ -51,17 +51,21 @@ pub(super) fn run(shared: &Shared, memory: &watch::Receiver<WorkspaceMemory>) {
         };
         let same = watched.take().filter(|(watched, _)| Arc::ptr_eq(watched, &child));
         let (child, mut signs) = same.unwrap_or_else(|| (child, Watched::default()));
-        let beat = child.beat();
-        let limit = if beat.may_compile {
+        let (beats, beat) = child.beats();
+        // A device that is being opened may take as long as a compiler.
+        let limit = if beat.commands.is_none() {
+            COMPILE_LIMIT
+        } else if beat.may_compile {
             compile_limit
         } else {
             command_limit(memory.borrow().volumes)
         };
-        let is_running = lock(&shared.table).is_running();
-        let silent_or_stuck = signs.look(Instant::now(), child.messages(), beat.commands, is_running, limit);
-        if let Some(why) = silent_or_stuck.or_else(|| takes_too_much(&child).then_some(Killed::Memory)) {
+        let is_running = beat.commands.is_none() || lock(&shared.table).is_running();
+        let silent_or_stuck = signs.look(Instant::now(), beats, beat.commands, is_running, limit);
+        if let Some(why) = silent_or_stuck.or_else(|| takes_too_much(&child).then_some(Killed::Memory))
+            && child.kill_for(why)
+        {
             tracing::error!(?why, "the process of the device is killed");
-            child.kill_for(why);
         }
         watched = Some((child, signs));
     }
@@ -79,22 +83,22 @@ fn takes_too_much(child: &Child) -> bool {
 /// What was seen of a process.
 #[derive(Default)]
 struct Watched {
-    messages: u64,
+    beats: u64,
     commands: Option<u64>,
     last_look: Option<Instant>,
-    /// Time without a message.
+    /// Time without a sign of life.
     silent: Duration,
     /// Time in which a job was running and no command was executed.
     stuck: Duration,
 }
 
 impl Watched {
-    /// Looks at the numbers of received messages and executed commands; returns why the process must be killed, if it must.
+    /// Looks at the numbers of signs of life and of executed commands; returns why the process must be killed, if it must.
     /// `command_limit`: maximum time of a command now.
     fn look(
         &mut self,
         now: Instant,
-        messages: u64,
+        beats: u64,
         commands: Option<u64>,
         is_running: bool,
         command_limit: Duration,
@@ -103,7 +107,7 @@ impl Watched {
         if since_last > LATE_LOOK {
             return None;
         }
-        let has_spoken = std::mem::replace(&mut self.messages, messages) != messages;
+        let has_spoken = std::mem::replace(&mut self.beats, beats) != beats;
         let has_worked = std::mem::replace(&mut self.commands, commands) != commands;
         self.silent = if has_spoken {
             Duration::ZERO
@@ -115,7 +119,7 @@ impl Watched {
         } else {
             self.stuck + since_last
         };
-        let silence_limit = if messages == 0 { START_LIMIT } else { SILENCE_LIMIT };
+        let silence_limit = if beats == 0 { START_LIMIT } else { SILENCE_LIMIT };
         if self.silent > silence_limit {
             Some(Killed::Silent)
         } else {
@@ -128,13 +132,13 @@ impl Watched {
 mod tests {
     use super::*;
 
-    /// Looks every 100 ms for so long; `signs` returns messages and commands at a time in milliseconds, and whether a job is running.
+    /// Looks every 100 ms for so long; `signs` returns signs of life and commands at a time in milliseconds, and whether a job is running.
     fn watch(milliseconds: u64, signs: impl Fn(u64) -> (u64, u64, bool)) -> Option<(u64, Killed)> {
         let (start, mut watched) = (Instant::now(), Watched::default());
         (0..=milliseconds).step_by(100).find_map(|time| {
-            let (messages, commands, is_running) = signs(time);
+            let (beats, commands, is_running) = signs(time);
             let now = start + Duration::from_millis(time);
-            let killed = watched.look(now, messages, Some(commands), is_running, command_limit(50_000_000));
+            let killed = watched.look(now, beats, Some(commands), is_running, command_limit(50_000_000));
             killed.map(|why| (time, why))
         })
     }

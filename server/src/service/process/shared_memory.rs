@@ -3,10 +3,11 @@
 use std::io;
 use std::os::fd::OwnedFd;
 use std::sync::OnceLock;
-use std::sync::atomic::AtomicU32;
+use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 
 use isopeel_extraction::host_memory_limit;
 use memmap2::{MmapOptions, MmapRaw};
+use rustix::fs::{MemfdFlags, SealFlags};
 
 /// Number of slots for each direction: while one is read, the next message is written.
 pub(super) const SLOTS: usize = 2;
@@ -20,10 +21,22 @@ const RESIDENT_SHARE: u64 = 512;
 const SLOT_BYTES: usize = 8 << 30;
 
 /// Minimum size of a slot.
-const MIN_SLOT_BYTES: usize = 64 << 20;
+const MIN_SLOT_BYTES: usize = 8 << 20;
 
-/// Bytes before the first slot, for the flags.
-const FLAG_BYTES: usize = 4096;
+/// Bytes before the first slot, for the flags: a page of any machine.
+const FLAG_BYTES: usize = 64 << 10;
+
+/// Offset of the numbers of the last sign of life, behind the flags.
+const BEAT_OFFSET: usize = 64;
+
+/// A sign of life of the device's process.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Beat {
+    /// As [`isopeel_kernels::Activity::commands`]; `None` while the device is not open.
+    pub commands: Option<u64>,
+    /// As [`isopeel_kernels::Activity::may_compile`].
+    pub may_compile: bool,
+}
 
 /// One of the two processes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -55,7 +68,7 @@ impl SharedMemory {
     /// # Errors
     /// The system refuses even small slots.
     pub(super) fn create() -> io::Result<(Self, OwnedFd)> {
-        let file = rustix::fs::memfd_create("isopeel-device", rustix::fs::MemfdFlags::CLOEXEC)?;
+        let file = rustix::fs::memfd_create("isopeel-device", MemfdFlags::CLOEXEC | MemfdFlags::ALLOW_SEALING)?;
         let (limit, _) = rlimit::Resource::FSIZE.get()?;
         let mut slot_bytes = SLOT_BYTES;
         loop {
@@ -68,7 +81,11 @@ impl SharedMemory {
                 Err(io::ErrorKind::FileTooLarge.into())
             };
             match mapped {
-                Ok(memory) => return Ok((memory, file)),
+                Ok(memory) => {
+                    // Access beyond the end of a file that the other process has cut off would end this one.
+                    rustix::fs::fcntl_add_seals(&file, SealFlags::SHRINK | SealFlags::GROW | SealFlags::SEAL)?;
+                    return Ok((memory, file));
+                }
                 Err(_) if slot_bytes > MIN_SLOT_BYTES => slot_bytes /= 2,
                 Err(error) => return Err(error),
             }
@@ -100,6 +117,31 @@ impl SharedMemory {
     pub(super) fn flag(&self, index: usize) -> &AtomicU32 {
         // SAFETY: the flags are at the begin of the map, aligned, and only ever accessed as atomics.
         unsafe { AtomicU32::from_ptr(self.map.as_mut_ptr().cast::<u32>().add(index)) }
+    }
+
+    /// Numbers of the last sign of life: how many there were, commands and one, whether the driver may compile.
+    fn beat_numbers(&self) -> [&AtomicU64; 3] {
+        // SAFETY: as the flags, behind them.
+        [0, 1, 2].map(|i| unsafe { AtomicU64::from_ptr(self.map.as_mut_ptr().add(BEAT_OFFSET).cast::<u64>().add(i)) })
+    }
+
+    /// Gives a sign of life.
+    pub(super) fn beat(&self, beat: Beat) {
+        let [count, commands, may_compile] = self.beat_numbers();
+        commands.store(beat.commands.map_or(0, |commands| commands + 1), Ordering::Relaxed);
+        may_compile.store(beat.may_compile.into(), Ordering::Relaxed);
+        count.fetch_add(1, Ordering::Release);
+    }
+
+    /// Returns the number of signs of life so far, and the last one.
+    pub(super) fn beats(&self) -> (u64, Beat) {
+        let [count, commands, may_compile] = self.beat_numbers();
+        let count = count.load(Ordering::Acquire);
+        let beat = Beat {
+            commands: commands.load(Ordering::Relaxed).checked_sub(1),
+            may_compile: may_compile.load(Ordering::Relaxed) != 0,
+        };
+        (count, beat)
     }
 
     pub(super) fn slot(&self, index: usize) -> *mut u8 {

@@ -113,7 +113,7 @@ impl Supervisor {
         self.serve(options);
         self.shared.connect(Connection::Ended);
         // Jobs that were sent meanwhile: their callers read the reason from the device's state.
-        let _ = lock(&self.shared.table).end_all();
+        lock(&self.shared.table).end_all();
     }
 
     fn serve(&self, mut options: DeviceOptions) {
@@ -122,7 +122,7 @@ impl Supervisor {
             return;
         };
         self.follow_check(&choice);
-        let (mut last_number, mut failures, mut has_been_ready) = (0, 0, false);
+        let (mut last_number, mut failures, mut has_been_ready, mut has_retried) = (0, 0, false, false);
         let mut is_confined = confine::landlock_version() > 0;
         if !is_confined {
             tracing::info!(
@@ -144,6 +144,10 @@ impl Supervisor {
                     tracing::error!("the process of the device has ended, and is replaced: {}", ended.how);
                     metrics::device_process_ended(ended.reason);
                     self.wait_after(failures);
+                }
+                Outcome::Ended(ended) if is_confined && !ended.is_caused_by_request && !has_retried => {
+                    tracing::warn!("the device is opened once more: {}", ended.how);
+                    has_retried = true;
                 }
                 outcome if is_confined && !has_been_ready => {
                     tracing::warn!(
@@ -199,6 +203,10 @@ impl Supervisor {
         // If this fails, the process has ended, which the receiver finds.
         let _ = sender.send(&ToDevice::Start(start));
         self.shared.connect(Connection::Open(Open::new(sender)));
+        // The check may have gone on since the first message was made.
+        if let Some(proven) = self.parts.proven.get() {
+            let _ = self.commands.send(Command::Checked(proven.state()));
+        }
         let (silence, done) = self.receive(&child, &mut receiver);
         // Comes before the jobs end, so that their callers wait for the next process.
         self.report(DeviceState::Opening(Preparation::default()));
@@ -206,14 +214,18 @@ impl Supervisor {
         *lock(&self.shared.child) = None;
         count_process(0);
         match silence {
+            Silence::Gone if self.shared.is_stopping() => {}
             Silence::Gone => metrics::device_lost(),
-            Silence::NeedsNewProcess | Silence::Failed(_) => child.kill_for(Killed::Replaced),
+            Silence::NeedsNewProcess | Silence::Failed(_) => _ = child.kill_for(Killed::Replaced),
         }
         let ended = child.end();
-        let running = lock(&self.shared.table).end_all();
-        if let Some(request) = running.filter(|_| ended.is_caused_by_request) {
-            lock(&self.shared.blame).add(&request);
+        let mut table = lock(&self.shared.table);
+        // Comes before the jobs end, so that none of them is tried again although it is refused now.
+        if let Some(request) = table.running().filter(|_| ended.is_caused_by_request) {
+            lock(&self.shared.blame).add(request);
         }
+        table.end_all();
+        drop(table);
         match silence {
             Silence::Failed(why) => (Outcome::Failed(why), done),
             Silence::Gone | Silence::NeedsNewProcess => (Outcome::Ended(ended), done),
@@ -234,7 +246,6 @@ impl Supervisor {
                     return (Silence::Gone, done);
                 }
             };
-            child.received();
             match message {
                 FromDevice::NeedsNewProcess => return (Silence::NeedsNewProcess, done),
                 FromDevice::Failed(why) => return (Silence::Failed(why), done),
@@ -266,7 +277,6 @@ impl Supervisor {
                 FromDevice::Dropped(id) => lock(&self.shared.table).remove(id),
                 FromDevice::Memory(used) => _ = self.parts.memory.send_replace(used),
                 FromDevice::Observed(event) => observe(event),
-                FromDevice::Beat(beat) => child.set_beat(beat),
             }
         }
     }

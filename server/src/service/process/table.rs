@@ -74,22 +74,20 @@ impl Table {
         self.jobs.remove(&id);
     }
 
-    /// Removes all jobs, because the process has ended. Callers of jobs that have begun get the error that the device was lost. Returns the
-    /// request of the job that began last, which was running.
-    pub(super) fn end_all(&mut self) -> Option<DeviceRequest> {
-        let mut running: Option<(u64, Option<DeviceRequest>)> = None;
+    /// Returns the request of the job that began last, which is running.
+    pub(super) fn running(&self) -> Option<&DeviceRequest> {
+        let begun = self.jobs.values().filter(|job| job.begun.is_some());
+        begun.max_by_key(|job| job.begun)?.request.as_ref()
+    }
+
+    /// Removes all jobs, because the process has ended. Callers of jobs that have begun get the error that the device was lost.
+    pub(super) fn end_all(&mut self) {
         for (_, job) in self.jobs.drain() {
-            match job.begun {
-                None => job.requester.ended(Err(JobError::NotBegun)),
-                Some(begun) => {
-                    job.requester.ended(Err(WorkError::DeviceLost.into()));
-                    if running.as_ref().is_none_or(|(last, _)| *last < begun) {
-                        running = Some((begun, job.request));
-                    }
-                }
-            }
+            job.requester.ended(Err(match job.begun {
+                None => JobError::NotBegun,
+                Some(_) => WorkError::DeviceLost.into(),
+            }));
         }
-        running.and_then(|(_, request)| request)
     }
 }
 

@@ -18,8 +18,8 @@ use tokio_util::sync::CancellationToken;
 
 use super::channel::{Receiver, SendError, Sender};
 use super::meshes;
-use super::messages::{Beat, Event, FromDevice, JobId, Start, ToDevice};
-use super::shared_memory::{End, SharedMemory};
+use super::messages::{Event, FromDevice, JobId, Start, ToDevice};
+use super::shared_memory::{Beat, End, SharedMemory};
 use crate::device::Proven;
 use crate::error::{BoxError, chain};
 use crate::pool;
@@ -42,7 +42,12 @@ pub fn run(socket: RawFd, memory: RawFd) -> Result<(), BoxError> {
     // SAFETY: the server has opened these files for this process, which uses them nowhere else.
     let (socket, memory) = unsafe { (UnixStream::from_raw_fd(socket), OwnedFd::from_raw_fd(memory)) };
     rustix::io::fcntl_setfd(&socket, rustix::io::FdFlags::CLOEXEC)?;
-    let memory = Arc::new(SharedMemory::map(&memory)?);
+    let memory = {
+        let mapped = SharedMemory::map(&memory)?;
+        drop(memory);
+        Arc::new(mapped)
+    };
+    end_with_server_alone();
     let mut receiver = Receiver::new(socket.try_clone()?, Arc::clone(&memory), End::Device);
     let ToDevice::Start(start) = receiver.receive()? else {
         return Err("the server did not begin with its options".into());
@@ -53,11 +58,21 @@ pub fn run(socket: RawFd, memory: RawFd) -> Result<(), BoxError> {
     count_process(start.server);
     number_from(start.last_number);
     pool::start_background()?;
-    let outbox = Outbox::start(Sender::new(socket, memory, End::Device))?;
-    let device = Device::start(start, &outbox)?;
+    let outbox = Outbox::start(Sender::new(socket, Arc::clone(&memory), End::Device))?;
+    let device = Device::start(start, &outbox, memory)?;
     device.serve(&mut receiver);
     // The server is gone, or wants this process to end. A driver that compiles or hangs must not delay that.
-    std::process::exit(0)
+    // No handler of the driver may run either.
+    // SAFETY: the call does not return.
+    unsafe { libc::_exit(0) }
+}
+
+/// Ignores signals by which a service manager or a terminal ends all processes of a service: the server decides when this one ends.
+fn end_with_server_alone() {
+    for signal in [libc::SIGTERM, libc::SIGINT, libc::SIGHUP] {
+        // SAFETY: the call only sets how the process handles a signal.
+        unsafe { libc::signal(signal, libc::SIG_IGN) };
+    }
 }
 
 /// Messages that a thread sends to the server, in order. Clones share it.
@@ -177,7 +192,7 @@ struct Device {
 
 impl Device {
     /// Starts the device's thread, and a thread that sends signs of life.
-    fn start(start: Start, outbox: &Outbox) -> std::io::Result<Self> {
+    fn start(start: Start, outbox: &Outbox, memory: Arc<SharedMemory>) -> std::io::Result<Self> {
         // The server limits the number of jobs; those that are deferred have left this queue.
         let (jobs, receiver) = mpsc::channel(2 * QUEUED_JOBS);
         let proven = start.proven.map(|checked| {
@@ -195,7 +210,7 @@ impl Device {
             histograms: HistogramCache::default(),
             proven: proven.clone(),
         };
-        let (memory, state) = (outbox.clone(), outbox.clone());
+        let (used_memory, state) = (outbox.clone(), outbox.clone());
         let number = Arc::clone(&engine);
         let thread = DeviceThread {
             types: start.types,
@@ -204,7 +219,7 @@ impl Device {
             request_time: start.request_time,
             user_times: UserTimes::new(start.user_time),
             report: StateReporter::forwarding(move |new| state.send(message_of(new, number.load(Ordering::Relaxed)))),
-            report_memory: Box::new(move |used| memory.send(FromDevice::Memory(used))),
+            report_memory: Box::new(move |used| used_memory.send(FromDevice::Memory(used))),
             engine,
             histograms: device.histograms.clone(),
             pins: device.pins.clone(),
@@ -220,10 +235,9 @@ impl Device {
             proven,
         };
         device_thread::spawn(move || thread.run(Box::new(|_| Ok(choice)), receiver))?;
-        let outbox = outbox.clone();
         let beat = move || {
             loop {
-                outbox.send(FromDevice::Beat(beat_of(&activity)));
+                memory.beat(beat_of(&activity));
                 std::thread::sleep(BEAT_INTERVAL);
             }
         };
