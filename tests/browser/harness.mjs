@@ -269,6 +269,18 @@ export async function picture(page) {
   return PNG.sync.read(pixels);
 }
 
+/** As `picture`, once two in a row are equal: a busy machine draws frames of lower quality first. */
+export async function stillPicture(page) {
+  let last = await picture(page);
+  for (let tries = 0; tries < 20; tries++) {
+    await page.waitForTimeout(400);
+    const next = await picture(page);
+    if (difference(last, next, 0) === 0) return next;
+    last = next;
+  }
+  throw new Error("the picture does not come to rest");
+}
+
 /** Pixels whose colour differs by more than `tolerance` in some channel, as a share of all. */
 export function difference(a, b, tolerance = 12) {
   if (a.width !== b.width || a.height !== b.height) throw new Error("pictures of different sizes");

@@ -3,7 +3,7 @@
 import assert from "node:assert/strict";
 import { connect, createServer } from "node:net";
 import { test } from "node:test";
-import { cameraAtRest, decideBy, difference, makeVolume, openPage, picture, rested, saveScreenshot, settled, startBrowser, startServer, status, TIMEOUT_MS } from "./harness.mjs";
+import { cameraAtRest, decideBy, difference, makeVolume, openPage, rested, saveScreenshot, settled, startBrowser, startServer, status, stillPicture, TIMEOUT_MS } from "./harness.mjs";
 
 test("reconnects after the server restarts", { timeout: 4 * TIMEOUT_MS }, async () => {
   const volume = makeVolume();
@@ -32,7 +32,7 @@ test("reconnects after the server restarts", { timeout: 4 * TIMEOUT_MS }, async 
     await page.getByText("Reconnecting").first().waitFor();
     const away = await status(page);
     assert.equal(away.triangles, before.triangles, "the surface is kept while there is no server");
-    const beforeRestart = await picture(page);
+    const beforeRestart = await stillPicture(page);
     await saveScreenshot(page, "server-away");
 
     server = await startServer([volume.path], { port: server.port });
@@ -44,7 +44,7 @@ test("reconnects after the server restarts", { timeout: 4 * TIMEOUT_MS }, async 
     const apart = Math.hypot(...now.camera.position.map((p, axis) => p - away.camera.position[axis]));
     assert.ok(apart < 1e-3, `the camera moved by ${apart} world units`);
     await saveScreenshot(page, "server-back");
-    const share = difference(beforeRestart, await picture(page));
+    const share = difference(beforeRestart, await stillPicture(page));
     assert.ok(share < 0.001, `${(100 * share).toFixed(2)} % of the pixels differ from the picture before`);
     assert.deepEqual(faults, []);
   } finally {
