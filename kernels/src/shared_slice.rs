@@ -23,8 +23,7 @@ impl<T: Pod> SharedSlice<T> {
     /// # Panics
     /// Bytes that are not a whole number of aligned elements.
     pub(crate) fn new(bytes: Bytes) -> Self {
-        assert!(bytemuck::try_cast_slice::<u8, T>(&bytes).is_ok(), "aligned elements");
-        Self(Memory::Shared(bytes))
+        Self::of_bytes(bytes).expect("aligned elements")
     }
 
     /// Elements in shared memory; `None` if the bytes are not a whole number of aligned elements.

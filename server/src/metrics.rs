@@ -6,9 +6,7 @@
 use std::sync::{Mutex, OnceLock, PoisonError};
 use std::time::Duration;
 
-use ::metrics::{
-    Counter, SharedString, Unit, counter, describe_counter, describe_gauge, describe_histogram, gauge, histogram,
-};
+use ::metrics::{Counter, Unit, counter, describe_counter, describe_gauge, describe_histogram, gauge, histogram};
 use metrics_exporter_prometheus::{BuildError, PrometheusBuilder, PrometheusHandle};
 
 /// Bounds of the buckets of all histograms, in seconds: from a kernel of a small volume to an export of the largest one.
@@ -247,8 +245,8 @@ pub fn edit_done(time: Duration) {
 }
 
 /// Records the time of one stage of a surface on the device.
-pub fn stage(name: impl Into<SharedString>, milliseconds: f64) {
-    histogram!(STAGE_SECONDS, "stage" => name.into()).record(milliseconds / 1e3);
+pub fn stage(name: &'static str, milliseconds: f64) {
+    histogram!(STAGE_SECONDS, "stage" => name).record(milliseconds / 1e3);
 }
 
 /// Labels of jobs on the device.
@@ -282,9 +280,9 @@ pub fn device_process_ended(reason: &'static str) {
 }
 
 /// Counts a look-up in a cache of the device, and whether it was a hit.
-pub fn looked_up(what: impl Into<SharedString>, was_there: bool) {
+pub fn looked_up(what: &'static str, was_there: bool) {
     let result = if was_there { "hit" } else { "miss" };
-    counter!(CACHE, "what" => what.into(), "result" => result).increment(1);
+    counter!(CACHE, "what" => what, "result" => result).increment(1);
 }
 
 /// Counts a step for a viewer. `result` is `hit` if the step was cached, `joined` if it was in flight for another viewer, and `miss`

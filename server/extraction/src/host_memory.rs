@@ -55,7 +55,7 @@ impl HostMemory {
     }
 
     /// Returns the maximum bytes that the process may hold; `u64::MAX` if no limit is known.
-    pub(crate) fn total(self) -> u64 {
+    pub fn total(self) -> u64 {
         self.total
     }
 

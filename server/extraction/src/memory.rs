@@ -69,26 +69,10 @@ pub fn resident_bytes() -> u64 {
 /// Returns the bytes of physical memory that a process does not share with others; 0 if the process has ended, or if the operating system
 /// does not report them.
 pub fn private_bytes(process: u32) -> u64 {
-    let Ok(text) = std::fs::read_to_string(format!("/proc/{process}/statm")) else {
-        return 0;
-    };
-    let mut pages = text.split(' ').skip(1).map_while(|pages| pages.parse::<u64>().ok());
-    let (Some(resident), Some(shared)) = (pages.next(), pages.next()) else {
-        return 0;
-    };
-    resident.saturating_sub(shared) * page_bytes()
-}
-
-#[cfg(unix)]
-fn page_bytes() -> u64 {
-    // SAFETY: a system call without pointers.
-    let bytes = unsafe { libc::sysconf(libc::_SC_PAGESIZE) };
-    u64::try_from(bytes).unwrap_or(4096)
-}
-
-#[cfg(not(unix))]
-fn page_bytes() -> u64 {
-    4096
+    let text = std::fs::read_to_string(format!("/proc/{process}/status")).unwrap_or_default();
+    let line = text.lines().find_map(|line| line.strip_prefix("RssAnon:"));
+    let kibibytes = line.and_then(|line| line.split_whitespace().next()?.parse::<u64>().ok());
+    kibibytes.unwrap_or(0) << 10
 }
 
 impl WorkspaceMemory {

@@ -492,14 +492,10 @@ fn start_worker(
         request_time: limit_of(args.request_time),
         user_time: limit_of(args.user_time),
         arguments: log_arguments.to_vec(),
-        hidden: args.hidden(&now),
+        hidden: if args.in_process { Vec::new() } else { args.hidden(&now) },
         ..args.device.server_options(types)
     };
-    if args.in_process {
-        DeviceWorker::start_with(options)
-    } else {
-        DeviceWorker::start_process(options)
-    }
+    DeviceWorker::start_for_server(options, args.in_process)
 }
 
 /// Converts a limit in seconds. 0 means no limit.

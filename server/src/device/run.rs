@@ -177,8 +177,7 @@ impl Running {
             Ok(status) => describe(*status),
             Err(error) => error.to_string(),
         };
-        let signal = status.ok().and_then(|status| status.signal());
-        if signal.is_some_and(|signal| [libc::SIGKILL, libc::SIGTERM].contains(&signal)) {
+        if status.is_ok_and(was_killed) {
             return Ended::Killed {
                 stage: self.stage.clone(),
                 how,
@@ -204,7 +203,13 @@ impl Drop for Running {
     }
 }
 
-fn describe(status: ExitStatus) -> String {
+/// Whether another process has ended this one: the kernel because memory ran out, or a service manager.
+pub(crate) fn was_killed(status: ExitStatus) -> bool {
+    matches!(status.signal(), Some(libc::SIGKILL | libc::SIGTERM))
+}
+
+/// Returns the signal or the exit code with which a process has ended.
+pub(crate) fn describe(status: ExitStatus) -> String {
     match (status.signal(), status.code()) {
         (Some(signal), _) => format!("signal {signal}"),
         (None, Some(code)) => format!("exit code {code}"),

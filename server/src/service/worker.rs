@@ -168,12 +168,24 @@ impl DeviceWorker {
         })
     }
 
+    /// Starts the device of a server: in this process, or in a process of its own.
+    ///
+    /// # Errors
+    /// A thread cannot be started.
+    pub fn start_for_server(options: DeviceOptions, in_process: bool) -> std::io::Result<Self> {
+        if in_process {
+            Self::start_with(options)
+        } else {
+            Self::start_process(options)
+        }
+    }
+
     /// As [`DeviceWorker::start_with`], but the device is opened and used by a process of its own, so that a driver that crashes, hangs or
     /// takes all memory ends that process alone. The process is then replaced. Call this within a runtime of tokio.
     ///
     /// # Errors
     /// The thread that starts the process cannot be started.
-    pub fn start_process(options: DeviceOptions) -> std::io::Result<Self> {
+    fn start_process(options: DeviceOptions) -> std::io::Result<Self> {
         Self::start_device(|parts| {
             let (link, thread) = process::start(options, parts)?;
             Ok((Jobs::Process(link), thread))

@@ -19,7 +19,7 @@ use serde::de::DeserializeOwned;
 use super::blocks::{Blocks, PARALLEL_BYTES};
 use super::shared_memory::{End, SLOTS, SharedMemory};
 
-/// Bytes at the begin of a frame: slot and length of the message, and the length of its arrays.
+/// Bytes at the start of a frame: slot and length of the message, and the length of its arrays.
 const HEADER_BYTES: usize = 16;
 
 /// Arrays begin at multiples of this.
@@ -379,7 +379,7 @@ mod tests {
         drop((to_server, from_server));
         assert!(
             to_device.send(&large).is_err(),
-            "all slots are in use, and nobody reads them"
+            "all slots are in use, and and no process reads them"
         );
         drop(from_device);
     }

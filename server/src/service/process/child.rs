@@ -3,7 +3,7 @@
 use std::io;
 use std::os::fd::{AsRawFd, OwnedFd};
 use std::os::unix::net::UnixStream;
-use std::os::unix::process::{CommandExt, ExitStatusExt};
+use std::os::unix::process::CommandExt;
 use std::process::Command;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
@@ -13,7 +13,7 @@ use isopeel_extraction::lock;
 use super::channel::{Receiver, Sender};
 use super::confine::Confinement;
 use super::shared_memory::{Beat, End, SharedMemory};
-use crate::device::{end_with_parent, program};
+use crate::device::{describe, end_with_parent, program, was_killed};
 
 /// Why the server has killed the process.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -151,7 +151,6 @@ impl Child {
 
     /// Waits for the end of a process that has closed its end of the channel, and returns how it ended.
     pub(super) fn end(&self) -> Ended {
-        // A process that closes the channel is about to end. It must not go on without a server.
         let killed = *lock(&self.killed);
         let status = wait_or_kill(&mut lock(&self.process));
         let ended = |how: &str, reason, is_caused_by_request| Ended {
@@ -166,14 +165,11 @@ impl Child {
             (Some(Killed::Stuck), _) => ended("its driver was stuck, and it was killed", "stuck", true),
             (Some(Killed::Memory), _) => ended("it took too much memory and was killed", "memory", true),
             (None, Err(error)) => ended(&error.to_string(), "unknown", false),
-            (None, Ok(status)) => match (status.signal(), status.code()) {
-                (Some(signal @ (libc::SIGKILL | libc::SIGTERM)), _) => {
-                    let how = format!("another process has killed it (signal {signal})");
-                    ended(&how, "killed", false)
-                }
-                (Some(signal), _) => ended(&format!("signal {signal}"), "crashed", true),
-                (None, code) => ended(&format!("exit code {}", code.unwrap_or(-1)), "crashed", true),
-            },
+            (None, Ok(status)) if was_killed(status) => {
+                let how = format!("another process has killed it ({})", describe(status));
+                ended(&how, "killed", false)
+            }
+            (None, Ok(status)) => ended(&describe(status), "crashed", true),
         }
     }
 }

@@ -18,7 +18,7 @@ use crate::error::chain;
 /// Maximum number of rules about reading. Entries beyond it cannot be used: folders at the top come first, which drivers need.
 const MAX_RULES: usize = 10_000;
 
-/// Folders of the system. They stay readable, but for hidden paths beneath them, even if a folder above them is hidden.
+/// Folders of the system. They stay readable, except hidden paths beneath them, even if a folder above them is hidden.
 const SYSTEM_FOLDERS: [&str; 11] = [
     "/bin",
     "/dev",

@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use isopeel_extraction::{DeviceReply, DeviceRequest, HistogramKey, JobError, VolumeKey, WorkspaceMemory};
+use isopeel_kernels::interned::{self, StaticText};
 use isopeel_kernels::{DeviceInfo, Histogram, SampleType, Tuning};
 use isopeel_volumes::StepKey;
 use serde::{Deserialize, Serialize};
@@ -96,7 +97,15 @@ pub(super) enum FromDevice {
 /// An event of a workspace.
 #[derive(Serialize, Deserialize)]
 pub(super) enum Event {
-    LookedUp { cache: String, is_hit: bool },
-    Stage { stage: String, milliseconds: f64 },
+    LookedUp {
+        #[serde(deserialize_with = "interned::deserialize")]
+        cache: StaticText,
+        is_hit: bool,
+    },
+    Stage {
+        #[serde(deserialize_with = "interned::deserialize")]
+        stage: StaticText,
+        milliseconds: f64,
+    },
     DeviceLost,
 }

@@ -5,14 +5,14 @@ use std::os::fd::OwnedFd;
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 
-use isopeel_extraction::host_memory_limit;
+use isopeel_extraction::HostMemory;
 use memmap2::{MmapOptions, MmapRaw};
 use rustix::fs::{MemfdFlags, SealFlags};
 
 /// Number of slots for each direction: while one is read, the next message is written.
 pub(super) const SLOTS: usize = 2;
 
-/// One in this many bytes of the machine's memory stays allocated in each slot after its message was read, so that the next message finds its
+/// One in this many bytes of the memory that the process may hold stays allocated in each slot after its message was read, so that the next message finds its
 /// pages.
 const RESIDENT_SHARE: u64 = 512;
 
@@ -115,7 +115,7 @@ impl SharedMemory {
     }
 
     pub(super) fn flag(&self, index: usize) -> &AtomicU32 {
-        // SAFETY: the flags are at the begin of the map, aligned, and only ever accessed as atomics.
+        // SAFETY: the flags are at the start of the map, aligned, and only ever accessed as atomics.
         unsafe { AtomicU32::from_ptr(self.map.as_mut_ptr().cast::<u32>().add(index)) }
     }
 
@@ -166,12 +166,10 @@ impl SharedMemory {
 /// Returns the bytes of a slot that stay allocated.
 pub(super) fn resident_slot_bytes() -> usize {
     static BYTES: OnceLock<usize> = OnceLock::new();
-    *BYTES.get_or_init(|| {
-        // SAFETY: system calls without pointers.
-        let [pages, bytes] = [libc::_SC_PHYS_PAGES, libc::_SC_PAGESIZE].map(|name| unsafe { libc::sysconf(name) });
-        let memory = u64::try_from(pages).unwrap_or(0) * u64::try_from(bytes).unwrap_or(0);
-        let limit = host_memory_limit().unwrap_or(u64::MAX).min(memory);
+    *BYTES.get_or_init(|| match HostMemory::now().total() {
+        // Not known.
+        u64::MAX => 0,
         // Whole pages.
-        (limit / RESIDENT_SHARE) as usize / FLAG_BYTES * FLAG_BYTES
+        total => (total / RESIDENT_SHARE) as usize / FLAG_BYTES * FLAG_BYTES,
     })
 }

@@ -165,12 +165,10 @@ struct Forwarding(Outbox);
 
 impl Observer for Forwarding {
     fn looked_up(&self, cache: &'static str, is_hit: bool) {
-        let cache = cache.to_owned();
         self.0.send(FromDevice::Observed(Event::LookedUp { cache, is_hit }));
     }
 
     fn stage(&self, stage: &'static str, milliseconds: f64) {
-        let stage = stage.to_owned();
         self.0.send(FromDevice::Observed(Event::Stage { stage, milliseconds }));
     }
 

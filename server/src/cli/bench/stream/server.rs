@@ -35,11 +35,7 @@ impl Server {
             arguments: worker::log_level(LevelFilter::WARN),
             ..device.options(types, |_| ())
         };
-        let worker = if in_process {
-            DeviceWorker::start_with(options)?
-        } else {
-            DeviceWorker::start_process(options)?
-        };
+        let worker = DeviceWorker::start_for_server(options, in_process)?;
         let config = Config::new(catalog.into(), worker, Access::new(address, &[], &[]));
         let shutdown = CancellationToken::new();
         let task = tokio::spawn(serve::run(listener, config, shutdown.clone().cancelled_owned()));
