@@ -85,13 +85,11 @@ test("whoever may only look sees what a volume opens with, and reads why nothing
   try {
     const context = await browser.newContext();
     const { page, faults, messages } = await openPage(context, `${server.url}/#token=${token}`);
-    await settled(page);
-    // What was made at rest, after which nothing follows.
-    const shown = await page.waitForFunction(() => {
-      const { statistics, triangles } = window.isopeel.status;
-      return statistics?.isTreeCut && triangles === statistics.triangles && triangles;
+    // The cut for the camera, measured: nothing follows it.
+    const { triangles } = await settled(page, ({ statistics, triangles }) => {
+      const { pixels, error } = statistics ?? {};
+      return pixels != null && error != null && triangles === statistics.triangles;
     });
-    const triangles = await shown.jsonValue();
     const cookies = await context.cookies();
     assert.ok(!JSON.stringify(cookies).includes(token), "the cookie is not the token");
     await offersOnlyLooking(page, messages);
