@@ -86,7 +86,9 @@ pub use isopeel_kernels::lock;
 pub use job_error::JobError;
 pub use joined::{JoinError, Joined, WorldMesh, join};
 pub use keys::{ALWAYS_DESCRIBED, HistogramKey, Masking, VolumeKey, view_keys, with_inputs};
-pub use memory::{MemoryUse, WorkspaceMemory, count_process, private_bytes, resident_bytes};
+pub use memory::{
+    CountedProcess, MemoryUse, WorkspaceMemory, count_further_bytes, counted_bytes, private_bytes, resident_bytes,
+};
 pub use observer::Observer;
 pub use open_steps::{OpenStepGuard, OpenSteps};
 pub use pins::{Pinned, Pins};

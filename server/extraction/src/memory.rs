@@ -1,8 +1,9 @@
 //! Memory by purpose.
 
-use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicU64, Ordering};
 
-use isopeel_kernels::{DeviceKind, DeviceMemory};
+use isopeel_kernels::{DeviceKind, DeviceMemory, lock};
 use serde::{Deserialize, Serialize};
 
 /// Use of memory, in bytes. If the device is this machine's processors, all of it is the process's own memory.
@@ -49,21 +50,46 @@ pub struct WorkspaceMemory {
     pub program: u64,
 }
 
-/// Another process of the same program, whose memory counts with that of this one; 0: there is none.
-static OTHER_PROCESS: AtomicU32 = AtomicU32::new(0);
+/// Other processes of the same program, whose memory counts with that of this one: the process that owns the device, checks of devices, or
+/// the server that has started this one.
+static COUNTED: Mutex<Vec<u32>> = Mutex::new(Vec::new());
 
-/// Counts the memory of another process of the same program with that of this one: the process that owns the device, or the server that
-/// has started this one. 0: there is no other process.
-pub fn count_process(id: u32) {
-    OTHER_PROCESS.store(id, Ordering::Relaxed);
+/// Bytes of processes that only another process can count.
+static FURTHER_BYTES: AtomicU64 = AtomicU64::new(0);
+
+/// Counts the memory of another process of the same program with that of this one, until it is dropped.
+pub struct CountedProcess(u32);
+
+impl CountedProcess {
+    /// Begins to count the process with this id.
+    pub fn new(id: u32) -> Self {
+        lock(&COUNTED).push(id);
+        Self(id)
+    }
 }
 
-/// Returns the bytes of physical memory that the process holds, with those of the process of [`count_process`]; 0 if the operating system
-/// does not report them.
+impl Drop for CountedProcess {
+    fn drop(&mut self) {
+        lock(&COUNTED).retain(|&id| id != self.0);
+    }
+}
+
+/// Returns the private bytes of all processes of [`CountedProcess`] but one; 0: of all.
+pub fn counted_bytes(except: u32) -> u64 {
+    let ids = lock(&COUNTED).clone();
+    ids.into_iter().filter(|&id| id != except).map(private_bytes).sum()
+}
+
+/// Sets the bytes of processes that only another process can count, which has told them.
+pub fn count_further_bytes(bytes: u64) {
+    FURTHER_BYTES.store(bytes, Ordering::Relaxed);
+}
+
+/// Returns the bytes of physical memory that the process holds, with those of the processes of [`CountedProcess`] and of
+/// [`count_further_bytes`]; without its own if the operating system does not report them.
 pub fn resident_bytes() -> u64 {
     let own = memory_stats::memory_stats().map_or(0, |memory| memory.physical_mem as u64);
-    let other = OTHER_PROCESS.load(Ordering::Relaxed);
-    own + if other == 0 { 0 } else { private_bytes(other) }
+    own + counted_bytes(0) + FURTHER_BYTES.load(Ordering::Relaxed)
 }
 
 /// Returns the bytes of physical memory that a process does not share with others; 0 if the process has ended, or if the operating system

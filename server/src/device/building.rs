@@ -2,6 +2,7 @@
 
 use std::thread::available_parallelism;
 
+use isopeel_extraction::HostMemory;
 use isopeel_kernels::{DeviceInfo, Engine, SampleType};
 
 use super::child::{Message, Request};
@@ -22,6 +23,17 @@ const FIRST_STAGES: [&str; 7] = [
 
 /// Maximum number of builders. More would only wait, because GPU drivers let only one process at a time open a device.
 const MAX_BUILDERS: usize = 4;
+
+/// Maximum bytes of a child. Measured: 450 MB with PoCL 3.1, which keeps what it has compiled.
+const CHILD_BYTES: u64 = 512 << 20;
+
+/// Returns how many builders there is memory for beside the check.
+fn builders() -> usize {
+    let processors = available_parallelism().map_or(1, |count| count.get() - 1);
+    let memory = HostMemory::now();
+    let fit = |&builders: &usize| memory.admit((1 + builders as u64) * CHILD_BYTES).is_ok();
+    (1..=processors.clamp(1, MAX_BUILDERS)).rfind(fit).unwrap_or(0)
+}
 
 /// Names of the sample types to check.
 #[derive(Clone)]
@@ -95,12 +107,9 @@ impl Building {
             later: types.later.clone(),
         };
         let check = Running::start(&check, environment)?;
-        let builders = available_parallelism()
-            .map_or(1, |count| count.get() - 1)
-            .clamp(1, MAX_BUILDERS);
-        let mut shares = vec![Vec::new(); builders];
-        for (i, program) in types.programs().into_iter().enumerate() {
-            shares[i % builders].push(program);
+        let mut shares = vec![Vec::new(); builders()];
+        for (program, share) in types.programs().into_iter().zip((0..shares.len()).cycle()) {
+            shares[share].push(program);
         }
         // A builder that cannot be started is not an error: the check then compiles those programs itself.
         let started = shares.into_iter().filter_map(|programs| {

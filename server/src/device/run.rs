@@ -6,6 +6,8 @@ use std::process::{Child, Command, ExitStatus, Stdio};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::time::Duration;
 
+use isopeel_extraction::CountedProcess;
+
 use super::child::{Message, Request};
 
 /// Maximum time between two messages of a child that compiles or checks, unless `ISOPEEL_CHECK_SECONDS` is set. Slow compilers take minutes
@@ -75,6 +77,8 @@ impl Ended {
 /// A running child. Dropping it kills the child.
 pub(super) struct Running {
     child: Child,
+    /// Counts the memory of the child with that of this process.
+    _counted: CountedProcess,
     /// Lines of the child's standard output.
     lines: Receiver<String>,
     /// Receives the last bytes of the child's standard error after the child has closed it.
@@ -111,6 +115,7 @@ impl Running {
         let lines = read_lines(child.stdout.take());
         let error_tail = read_tail(child.stderr.take());
         Ok(Self {
+            _counted: CountedProcess::new(child.id()),
             child,
             lines,
             error_tail,

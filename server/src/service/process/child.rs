@@ -5,6 +5,7 @@ use std::os::fd::{AsRawFd, OwnedFd};
 use std::os::unix::net::UnixStream;
 use std::os::unix::process::CommandExt;
 use std::process::Command;
+use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
@@ -131,6 +132,11 @@ impl Child {
     /// Returns the number of signs of life so far, and the last one.
     pub(super) fn beats(&self) -> (u64, Beat) {
         self.memory.beats()
+    }
+
+    /// Tells the process how much memory it cannot count.
+    pub(super) fn count_further_bytes(&self, bytes: u64) {
+        self.memory.further_bytes().store(bytes, Ordering::Relaxed);
     }
 
     /// Kills the process because the server ends.

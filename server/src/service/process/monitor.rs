@@ -1,9 +1,10 @@
-//! Kills a process that gives no sign of life, whose driver is stuck, or that takes too much memory.
+//! Kills a process that gives no sign of life, whose driver is stuck, or that takes too much memory. Tells it what other processes of the
+//! server take.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use isopeel_extraction::{WorkspaceMemory, host_memory_limit, lock, private_bytes};
+use isopeel_extraction::{WorkspaceMemory, counted_bytes, host_memory_limit, lock, private_bytes};
 use tokio::sync::watch;
 
 use super::child::{Child, Killed};
@@ -51,6 +52,7 @@ pub(super) fn run(shared: &Shared, memory: &watch::Receiver<WorkspaceMemory>) {
         };
         let same = watched.take().filter(|(watched, _)| Arc::ptr_eq(watched, &child));
         let (child, mut signs) = same.unwrap_or_else(|| (child, Watched::default()));
+        child.count_further_bytes(counted_bytes(child.id()));
         let (beats, beat) = child.beats();
         // A device that is being opened may take as long as a compiler.
         let limit = if beat.commands.is_none() {

@@ -26,8 +26,8 @@ const MIN_SLOT_BYTES: usize = 8 << 20;
 /// Bytes before the first slot, for the flags: a page of any machine.
 const FLAG_BYTES: usize = 64 << 10;
 
-/// Offset of the numbers of the last sign of life, behind the flags.
-const BEAT_OFFSET: usize = 64;
+/// Offset of the numbers behind the flags.
+const NUMBER_OFFSET: usize = 64;
 
 /// A sign of life of the device's process.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -119,10 +119,20 @@ impl SharedMemory {
         unsafe { AtomicU32::from_ptr(self.map.as_mut_ptr().cast::<u32>().add(index)) }
     }
 
+    /// Numbers behind the flags.
+    fn number(&self, index: usize) -> &AtomicU64 {
+        // SAFETY: as the flags, behind them.
+        unsafe { AtomicU64::from_ptr(self.map.as_mut_ptr().add(NUMBER_OFFSET).cast::<u64>().add(index)) }
+    }
+
     /// Numbers of the last sign of life: how many there were, commands and one, whether the driver may compile.
     fn beat_numbers(&self) -> [&AtomicU64; 3] {
-        // SAFETY: as the flags, behind them.
-        [0, 1, 2].map(|i| unsafe { AtomicU64::from_ptr(self.map.as_mut_ptr().add(BEAT_OFFSET).cast::<u64>().add(i)) })
+        [0, 1, 2].map(|index| self.number(index))
+    }
+
+    /// Bytes of the processes of the server that the process of the device cannot count.
+    pub(super) fn further_bytes(&self) -> &AtomicU64 {
+        self.number(3)
     }
 
     /// Gives a sign of life.

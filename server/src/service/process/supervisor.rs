@@ -6,7 +6,7 @@ use std::sync::{Arc, mpsc};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use isopeel_extraction::{DeviceReply, JobError, OpenError, WorkError, count_process, host_memory_limit, lock};
+use isopeel_extraction::{CountedProcess, DeviceReply, JobError, OpenError, WorkError, host_memory_limit, lock};
 use tokio::runtime::Handle;
 
 use super::channel::Receiver;
@@ -196,7 +196,7 @@ impl Supervisor {
         };
         let child = Arc::new(child);
         *lock(&self.shared.child) = Some(Arc::clone(&child));
-        count_process(child.id());
+        let counted = CountedProcess::new(child.id());
         if self.shared.is_stopping() {
             child.kill();
         }
@@ -212,7 +212,7 @@ impl Supervisor {
         self.report(DeviceState::Opening(Preparation::default()));
         self.shared.connect(Connection::Starting);
         *lock(&self.shared.child) = None;
-        count_process(0);
+        drop(counted);
         match silence {
             Silence::Gone if self.shared.is_stopping() => {}
             Silence::Gone => metrics::device_lost(),

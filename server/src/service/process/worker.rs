@@ -9,8 +9,8 @@ use std::sync::{Arc, Mutex, OnceLock};
 use std::time::Duration;
 
 use isopeel_extraction::{
-    DeviceReply, HistogramCache, JobError, Observer, OpenSteps, Pins, UserTimes, WorkError, count_process,
-    limit_host_memory, lock, number_from,
+    CountedProcess, DeviceReply, HistogramCache, JobError, Observer, OpenSteps, Pins, UserTimes, WorkError,
+    count_further_bytes, limit_host_memory, lock, number_from,
 };
 use isopeel_kernels::Region;
 use tokio::sync::mpsc;
@@ -55,7 +55,7 @@ pub fn run(socket: RawFd, memory: RawFd) -> Result<(), BoxError> {
     // An error is ignored: another process may end first then.
     let _ = std::fs::write("/proc/self/oom_score_adj", OUT_OF_MEMORY_SCORE);
     start.host_bytes.into_iter().for_each(limit_host_memory);
-    count_process(start.server);
+    let _server = CountedProcess::new(start.server);
     number_from(start.last_number);
     pool::start_background()?;
     let outbox = Outbox::start(Sender::new(socket, Arc::clone(&memory), End::Device))?;
@@ -236,6 +236,7 @@ impl Device {
         let beat = move || {
             loop {
                 memory.beat(beat_of(&activity));
+                count_further_bytes(memory.further_bytes().load(Ordering::Relaxed));
                 std::thread::sleep(BEAT_INTERVAL);
             }
         };
