@@ -119,3 +119,25 @@ impl WorkspaceMemory {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn another_process_counts_until_it_is_dropped() {
+        use super::{CountedProcess, counted_bytes};
+        use std::process::Command;
+        use std::time::{Duration, Instant};
+
+        let mut other = Command::new("sleep").arg("60").spawn().expect("a process");
+        let counted = CountedProcess::new(other.id());
+        let begun = Instant::now();
+        while counted_bytes(0) == 0 {
+            assert!(begun.elapsed() < Duration::from_secs(10), "the process has no memory");
+        }
+        assert_eq!(counted_bytes(other.id()), 0, "without this one");
+        drop(counted);
+        assert_eq!(counted_bytes(0), 0);
+        other.kill().and_then(|()| other.wait()).expect("killed");
+    }
+}
