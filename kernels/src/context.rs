@@ -99,7 +99,7 @@ pub(crate) struct Context {
     pub found: Found,
     /// How kernels are built and launched on it.
     pub tuning: Tuning,
-    pub context: opencl3::context::Context,
+    pub context: Arc<opencl3::context::Context>,
     pub queue: CommandQueue,
     pub programs: Programs,
     pub pool: Arc<Pool>,
@@ -128,7 +128,14 @@ impl Context {
     ) -> Result<Self> {
         let found = device::select(selector)?;
         let failed = |source| Error::Launch { stage: OPEN, source };
-        let context = opencl3::context::Context::from_device(&found.device).map_err(failed)?;
+        let own = || opencl3::context::Context::from_device(&found.device).map(Arc::new);
+        #[cfg(feature = "testing")]
+        let context = match crate::program::shared::context(&found)? {
+            Some(shared) => shared,
+            None => own().map_err(failed)?,
+        };
+        #[cfg(not(feature = "testing"))]
+        let context = own().map_err(failed)?;
         // The deprecated call, because the newer one does not exist on OpenCL 1.2 drivers.
         #[allow(deprecated)]
         // SAFETY: the device belongs to the context just made.

@@ -33,18 +33,11 @@ impl Program {
     pub fn build(context: &Context, device: &Found, source: &str, options: &str, stage: &'static str) -> Result<Self> {
         let failed = |e| Error::Launch { stage, source: e };
         let text = sources::resolve(stage, source);
+        let build = || build(context, device, &text, options, stage);
         #[cfg(feature = "testing")]
-        let built = built::Key::new(device, options, &text);
-        #[cfg(feature = "testing")]
-        let known = built.program(context, device, options);
+        let program = shared::program(context, options, &text, build)?;
         #[cfg(not(feature = "testing"))]
-        let known = None;
-        let program = match known {
-            Some(program) => program,
-            None => build(context, device, &text, options, stage)?,
-        };
-        #[cfg(feature = "testing")]
-        built.keep(&program, device);
+        let program = build()?;
         let kernels = opencl3::kernel::create_program_kernels(&program)
             .map_err(failed)?
             .into_iter()
@@ -241,48 +234,63 @@ fn build(
     }
 }
 
-/// Cache of the programs that this process has built. Tests open the device many times, and some drivers do not cache compiled programs.
+/// Programs that tests have built for the context that they share. Tests open the device many times, and building a program takes a driver
+/// tens of milliseconds even if its own cache has it.
 #[cfg(feature = "testing")]
-mod built {
+pub(crate) mod shared {
     use super::{Context, Found};
-    use crate::lock;
+    use crate::{Result, error::OPEN, lock};
     use opencl3::program::Program;
     use std::collections::HashMap;
-    use std::sync::{LazyLock, Mutex};
+    use std::collections::hash_map::Entry;
+    use std::sync::atomic::{AtomicBool, Ordering};
+    use std::sync::{Arc, LazyLock, Mutex};
 
-    static BUILT: LazyLock<Mutex<HashMap<Key, Vec<u8>>>> = LazyLock::new(Mutex::default);
+    static IS_ON: AtomicBool = AtomicBool::new(false);
+    static CONTEXTS: LazyLock<Mutex<HashMap<usize, Arc<Context>>>> = LazyLock::new(Mutex::default);
+    static PROGRAMS: LazyLock<Mutex<HashMap<Key, Arc<Program>>>> = LazyLock::new(Mutex::default);
 
-    /// Cache key of a program: driver, options and text.
-    #[derive(Clone, PartialEq, Eq, Hash)]
-    pub(super) struct Key([String; 3]);
+    /// Cache key of a program: context, options and text.
+    type Key = (usize, String, String);
 
-    impl Key {
-        pub(super) fn new(device: &Found, options: &str, text: &str) -> Self {
-            let driver = format!("{} {}", device.info.name, device.info.driver);
-            Self([driver, options.to_owned(), text.to_owned()])
+    /// From now on, engines of one device share its context, and their programs.
+    pub(crate) fn begin() {
+        IS_ON.store(true, Ordering::Relaxed);
+    }
+
+    /// Returns the context that engines of a device share, if they do.
+    pub(crate) fn context(device: &Found) -> Result<Option<Arc<Context>>> {
+        if !IS_ON.load(Ordering::Relaxed) {
+            return Ok(None);
         }
-
-        /// Returns the program if it was built before and the driver accepts its binary.
-        pub(super) fn program(&self, context: &Context, device: &Found, options: &str) -> Option<Program> {
-            let built = lock(&BUILT);
-            let binary = built.get(self)?;
-            // SAFETY: this driver produced the binary for this device.
-            let mut program = unsafe { Program::create_from_binary(context, &[device.device.id()], &[binary]) }.ok()?;
-            program.build(&[device.device.id()], options).ok()?;
-            Some(program)
-        }
-
-        /// Caches a program, except with PoCL: PoCL's own cache holds more than the binary, namely the kernels of each work-group size too.
-        pub(super) fn keep(self, program: &Program, device: &Found) {
-            if device.info.platform == crate::device::POCL {
-                return;
+        let failed = |source| crate::Error::Launch { stage: OPEN, source };
+        let context = match lock(&CONTEXTS).entry(device.device.id() as usize) {
+            Entry::Occupied(shared) => Arc::clone(shared.get()),
+            Entry::Vacant(first) => {
+                let context = Context::from_device(&device.device).map_err(failed)?;
+                Arc::clone(first.insert(Arc::new(context)))
             }
-            let mut built = lock(&BUILT);
-            if let (false, Ok(binaries)) = (built.contains_key(&self), program.get_binaries())
-                && let Some(binary) = binaries.into_iter().find(|binary| !binary.is_empty())
-            {
-                built.insert(self, binary);
-            }
+        };
+        Ok(Some(context))
+    }
+
+    /// Returns the program, which is built if the engines of this context do not share it yet.
+    pub(super) fn program(
+        context: &Context,
+        options: &str,
+        text: &str,
+        build: impl FnOnce() -> Result<Program>,
+    ) -> Result<Arc<Program>> {
+        let is_shared = lock(&CONTEXTS).values().any(|shared| shared.get() == context.get());
+        if !is_shared {
+            return Ok(Arc::new(build()?));
         }
+        let key = (context.get() as usize, options.to_owned(), text.to_owned());
+        if let Some(program) = lock(&PROGRAMS).get(&key) {
+            return Ok(Arc::clone(program));
+        }
+        let program = Arc::new(build()?);
+        lock(&PROGRAMS).insert(key, Arc::clone(&program));
+        Ok(program)
     }
 }

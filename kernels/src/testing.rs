@@ -47,6 +47,7 @@ impl DerefMut for Device {
 pub fn device() -> Option<Device> {
     // A test that panicked while it held the device left no inconsistent state.
     let guard = lock(&ONE_AT_A_TIME);
+    crate::program::shared::begin();
     let selector = std::env::var("ISOPEEL_DEVICE").ok();
     match Engine::open(selector.as_deref()) {
         Ok(engine) => Some(Device { engine, _guard: guard }),
