@@ -31,6 +31,10 @@ const STAGE_SECONDS: &str = "isopeel_device_stage_seconds";
 const JOB_WAIT_SECONDS: &str = "isopeel_device_job_wait_seconds";
 const JOB_SECONDS: &str = "isopeel_device_job_seconds";
 const QUEUED: &str = "isopeel_device_queued_jobs";
+const DEVICE_READY: &str = "isopeel_device_ready";
+const DEVICE_VOLUMES: &str = "isopeel_device_volumes";
+const VOLUMES_MOVED: &str = "isopeel_device_volumes_moved_total";
+const VOLUMES_REPLICATED: &str = "isopeel_device_volumes_replicated_total";
 const EXPORTS: &str = "isopeel_exports_running";
 const BATCH_JOBS: &str = "isopeel_batch_jobs";
 const DEVICE_LOST: &str = "isopeel_device_lost_total";
@@ -46,6 +50,35 @@ const RESIDENT: &str = "process_resident_memory_bytes";
 const BUILD: &str = "isopeel_build_info";
 
 static RECORDER: OnceLock<PrometheusHandle> = OnceLock::new();
+
+/// Maximum number of devices of a server.
+pub const MAX_DEVICES: usize = 16;
+
+/// Values of the label `device`.
+const DEVICE_LABELS: [&str; MAX_DEVICES] = [
+    "0", "1", "2", "3", "4", "5", "6", "7", "8", "9", "10", "11", "12", "13", "14", "15",
+];
+
+/// Number of a device among those of the server, from 0.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct DeviceNumber(usize);
+
+impl DeviceNumber {
+    /// Returns the number of the device at a position; `None` from [`MAX_DEVICES`] on.
+    pub fn new(index: usize) -> Option<Self> {
+        (index < MAX_DEVICES).then_some(Self(index))
+    }
+
+    /// Returns the position of the device.
+    pub fn index(self) -> usize {
+        self.0
+    }
+
+    /// Returns the value of the label `device`.
+    fn label(self) -> &'static str {
+        DEVICE_LABELS[self.0]
+    }
+}
 
 /// Counters that are updated for each frame of each viewer. They are stored here, because a look-up by labels would take longer than all
 /// other work for a small frame.
@@ -121,13 +154,23 @@ fn describe() {
         Unit::Seconds,
         "From the beginning of a job to its end, with those that ran in its pauses"
     );
-    describe_gauge!(QUEUED, "Jobs in the device's queue");
+    describe_gauge!(QUEUED, "Jobs in a device's queue");
+    describe_gauge!(DEVICE_READY, "1 if a device is open, else 0");
+    describe_gauge!(DEVICE_VOLUMES, "Volumes that are assigned to a device");
+    describe_counter!(
+        VOLUMES_MOVED,
+        "Volumes that were moved to a device because theirs could not be used"
+    );
+    describe_counter!(
+        VOLUMES_REPLICATED,
+        "Volumes that were assigned to a further device because the queue of theirs was long"
+    );
     describe_gauge!(EXPORTS, "Exports that run");
     describe_gauge!(BATCH_JOBS, "Batch jobs, by state");
-    describe_counter!(DEVICE_LOST, "How often the device was lost");
+    describe_counter!(DEVICE_LOST, "How often a device was lost");
     describe_counter!(
         DEVICE_PROCESS_ENDED,
-        "How often the process of the device has ended and was replaced, by reason"
+        "How often the process of a device has ended and was replaced, by reason"
     );
     describe_gauge!(UPLOADS, "Uploads, by state");
     describe_gauge!(UPLOAD_BYTES, Unit::Bytes, "Bytes of all uploads that are there");
@@ -245,13 +288,15 @@ pub fn edit_done(time: Duration) {
 }
 
 /// Records the time of one stage of a surface on the device.
-pub fn stage(name: &'static str, milliseconds: f64) {
-    histogram!(STAGE_SECONDS, "stage" => name).record(milliseconds / 1e3);
+pub fn stage(device: DeviceNumber, name: &'static str, milliseconds: f64) {
+    histogram!(STAGE_SECONDS, "device" => device.label(), "stage" => name).record(milliseconds / 1e3);
 }
 
-/// Labels of jobs on the device.
+/// Labels of jobs on a device.
 #[derive(Clone, Copy, Debug)]
 pub struct JobLabels {
+    /// The device.
+    pub device: DeviceNumber,
     /// Kind of caller.
     pub caller: &'static str,
     /// How the job shares the device.
@@ -260,29 +305,35 @@ pub struct JobLabels {
 
 /// Records that a job begins, and its waiting time.
 pub fn job_begun(labels: JobLabels, waited: Duration) {
-    histogram!(JOB_WAIT_SECONDS, "caller" => labels.caller, "length" => labels.length).record(waited);
+    histogram!(
+        JOB_WAIT_SECONDS, "device" => labels.device.label(), "caller" => labels.caller, "length" => labels.length
+    )
+    .record(waited);
 }
 
 /// Records that a job has ended, and its duration.
 pub fn job_ended(labels: JobLabels, time: Duration) {
-    histogram!(JOB_SECONDS, "caller" => labels.caller, "length" => labels.length).record(time);
+    histogram!(
+        JOB_SECONDS, "device" => labels.device.label(), "caller" => labels.caller, "length" => labels.length
+    )
+    .record(time);
 }
 
-/// Counts a loss of the device.
-pub fn device_lost() {
-    counter!(DEVICE_LOST).increment(1);
+/// Counts a loss of a device.
+pub fn device_lost(device: DeviceNumber) {
+    counter!(DEVICE_LOST, "device" => device.label()).increment(1);
 }
 
-/// Counts an end of the process of the device that was not asked for. `reason`: `crashed`, `killed`, `silent`, `stuck`, `memory`, `replaced`
+/// Counts an end of the process of a device that was not asked for. `reason`: `crashed`, `killed`, `silent`, `stuck`, `memory`, `replaced`
 /// or `unknown`.
-pub fn device_process_ended(reason: &'static str) {
-    counter!(DEVICE_PROCESS_ENDED, "reason" => reason).increment(1);
+pub fn device_process_ended(device: DeviceNumber, reason: &'static str) {
+    counter!(DEVICE_PROCESS_ENDED, "device" => device.label(), "reason" => reason).increment(1);
 }
 
-/// Counts a look-up in a cache of the device, and whether it was a hit.
-pub fn looked_up(what: &'static str, was_there: bool) {
+/// Counts a look-up in a cache of a device, and whether it was a hit.
+pub fn looked_up(device: DeviceNumber, what: &'static str, was_there: bool) {
     let result = if was_there { "hit" } else { "miss" };
-    counter!(CACHE, "what" => what, "result" => result).increment(1);
+    counter!(CACHE, "device" => device.label(), "what" => what, "result" => result).increment(1);
 }
 
 /// Counts a step for a viewer. `result` is `hit` if the step was cached, `joined` if it was in flight for another viewer, and `miss`
@@ -291,9 +342,25 @@ pub fn found_step(result: &'static str) {
     counter!(CACHE, "what" => "step", "result" => result).increment(1);
 }
 
-/// Sets the number of jobs in the device's queue.
-pub fn set_queued_jobs(jobs: usize) {
-    gauge!(QUEUED).set(jobs as f64);
+/// Sets the number of jobs in a device's queue.
+pub fn set_queued_jobs(device: DeviceNumber, jobs: usize) {
+    gauge!(QUEUED, "device" => device.label()).set(jobs as f64);
+}
+
+/// Sets whether a device is open, and the number of volumes that are assigned to it.
+pub fn set_device(device: DeviceNumber, is_ready: bool, volumes: usize) {
+    gauge!(DEVICE_READY, "device" => device.label()).set(f64::from(u8::from(is_ready)));
+    gauge!(DEVICE_VOLUMES, "device" => device.label()).set(volumes as f64);
+}
+
+/// Counts a volume that was moved to this device.
+pub fn volume_moved(to: DeviceNumber) {
+    counter!(VOLUMES_MOVED, "device" => to.label()).increment(1);
+}
+
+/// Counts a volume that was assigned to this device beside others.
+pub fn volume_replicated(to: DeviceNumber) {
+    counter!(VOLUMES_REPLICATED, "device" => to.label()).increment(1);
 }
 
 /// Sets the number of running exports.
@@ -321,7 +388,12 @@ pub fn upload_received(bytes: usize) {
     counter!(UPLOAD_RECEIVED).increment(bytes as u64);
 }
 
-/// Sets the memory of an owner.
+/// Sets the memory of an owner on a device.
+pub fn set_device_memory(device: DeviceNumber, owner: &'static str, bytes: u64) {
+    gauge!(MEMORY, "device" => device.label(), "owner" => owner).set(bytes as f64);
+}
+
+/// Sets the memory of an owner that belongs to no device.
 pub fn set_memory(owner: &'static str, bytes: u64) {
     gauge!(MEMORY, "owner" => owner).set(bytes as f64);
 }

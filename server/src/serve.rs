@@ -31,7 +31,7 @@ use crate::access::{Access, AllowedOrigin, content_security_policy};
 use crate::jobs::{Jobs, Limits, OpenError, StateFolder};
 use crate::metrics;
 use crate::rest::{self, ApiState, SpoolFolder};
-use crate::service::DeviceWorker;
+use crate::service::DevicePool;
 use crate::stream::{self, Deadlines, LiveBackend, LiveOptions, StreamState};
 use crate::uploads::Uploads;
 pub use connections::ConnectionLimits;
@@ -45,8 +45,8 @@ pub const SHUTDOWN_GRACE: Duration = Duration::from_secs(1);
 pub struct Config {
     /// Volumes that the server offers.
     pub catalog: SharedCatalog,
-    /// Device worker. The device may still be opening.
-    pub worker: DeviceWorker,
+    /// The devices, which may still be opening.
+    pub devices: DevicePool,
     /// Maximum number of triangles of a surface. A larger surface is refused before it is made.
     pub ceiling_triangles: u64,
     /// Caches, and whether time steps may appear.
@@ -75,10 +75,10 @@ pub struct Config {
 
 impl Config {
     /// Returns the default configuration: no limit of triangles, no TLS, no additional listener, no batch jobs and no uploads.
-    pub fn new(catalog: SharedCatalog, worker: DeviceWorker, access: Access) -> Self {
+    pub fn new(catalog: SharedCatalog, devices: impl Into<DevicePool>, access: Access) -> Self {
         Self {
             catalog,
-            worker,
+            devices: devices.into(),
             ceiling_triangles: u64::MAX,
             live: LiveOptions::default(),
             deadlines: Deadlines::default(),
@@ -99,7 +99,7 @@ impl Config {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ServeError {
-    /// The device could not be opened.
+    /// No device could be opened.
     #[error(transparent)]
     Device(#[from] WorkError),
     /// This process cannot use the device any more, but a new process can.
@@ -118,7 +118,7 @@ pub enum ServeError {
 
 /// Serves REST, the stream and the web client until `shutdown` resolves, then closes all connections and returns.
 ///
-/// Accepts requests at once. Requests that need the device wait until it is open (`GET /readyz`).
+/// Accepts requests at once. Requests that need a device wait until it is open (`GET /readyz`).
 ///
 /// # Errors
 /// [`ServeError`]. After [`ServeError::NeedsNewProcess`], the caller must start another process.
@@ -129,7 +129,7 @@ pub async fn run(
 ) -> Result<(), ServeError> {
     let Config {
         catalog,
-        worker,
+        devices,
         ceiling_triangles,
         live,
         deadlines,
@@ -147,16 +147,16 @@ pub async fn run(
     let stop = CancellationToken::new();
     // Ends the tasks of viewers, jobs and uploads when this function returns, also after an error.
     let _stop_guard = stop.clone().drop_guard();
-    let worker = worker.with_ceiling(ceiling_triangles);
-    let backend = LiveBackend::new(catalog.clone(), worker.clone(), live);
+    let devices = devices.with_ceiling(ceiling_triangles);
+    let backend = LiveBackend::new(catalog.clone(), devices.clone(), live);
     let viewers = StreamState::new(backend, deadlines, stop.clone()).with_shared_bytes(live.shared_bytes);
     let jobs = match jobs {
         Some((folder, limits)) => {
-            Some(Jobs::open(folder, limits, catalog.clone(), worker.clone(), stop.clone()).await?)
+            Some(Jobs::open(folder, limits, catalog.clone(), devices.clone(), stop.clone()).await?)
         }
         None => None,
     };
-    let api = ApiState::new(catalog, worker.clone(), access.clone()).with_jobs(jobs.clone());
+    let api = ApiState::new(catalog, devices.clone(), access.clone()).with_jobs(jobs.clone());
     let api = (api.with_uploads(uploads.clone()).with_spool(spool)).with_draining(is_draining);
     let proxies = Arc::clone(access.proxies());
     let _metrics_task = serve_metrics(metrics_listener, api.clone(), limits, stop.clone());
@@ -178,7 +178,7 @@ pub async fn run(
     ));
     let outcome = tokio::select! {
         () = shutdown => Ok(()),
-        error = worker.unusable() => Err(error.map_or(ServeError::NeedsNewProcess, ServeError::Device)),
+        error = devices.unusable() => Err(error.map_or(ServeError::NeedsNewProcess, ServeError::Device)),
         joined = &mut server => return Ok(joined.map_err(std::io::Error::other)?),
     };
     stop.cancel();

@@ -29,8 +29,27 @@ pub struct MemoryUse {
     pub program_bytes: u64,
     /// Memory that the process holds, as the operating system reports it; 0 if it does not.
     pub resident_bytes: u64,
-    /// Whether the device's memory is part of the process's.
+    /// Whether the memory of all devices is part of the process's.
     pub is_host_memory: bool,
+}
+
+impl MemoryUse {
+    /// Returns the use of two devices of one server. What the process holds counts once.
+    #[must_use]
+    pub fn with(self, other: Self) -> Self {
+        Self {
+            volume_bytes: self.volume_bytes + other.volume_bytes,
+            pyramid_bytes: self.pyramid_bytes + other.pyramid_bytes,
+            tree_bytes: self.tree_bytes + other.tree_bytes,
+            cut_bytes: self.cut_bytes + other.cut_bytes,
+            other_device_bytes: self.other_device_bytes + other.other_device_bytes,
+            idle_bytes: self.idle_bytes + other.idle_bytes,
+            surface_bytes: self.surface_bytes + other.surface_bytes,
+            program_bytes: self.program_bytes.max(other.program_bytes),
+            resident_bytes: self.resident_bytes.max(other.resident_bytes),
+            is_host_memory: self.is_host_memory && other.is_host_memory,
+        }
+    }
 }
 
 /// Memory that a workspace accounts for, in bytes.

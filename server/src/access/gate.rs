@@ -395,6 +395,7 @@ mod tests {
             (&post, "/api/v1/uploads/1/finish", "upload admin"),
             (&delete, "/api/v1/uploads/1", "upload admin"),
             (&get, "/api/v1/memory", "admin"),
+            (&get, "/api/v1/devices", "admin"),
             (&get, "/metrics", "admin"),
         ] {
             for (role, token) in Role::ALL.into_iter().zip(&tokens) {

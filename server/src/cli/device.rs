@@ -9,11 +9,14 @@ use isopeel_kernels::{Engine, SampleType};
 use crate::device::{DeviceFailure, DeviceRequirements, PendingCheck, Prepared, Proven, Unprepared, cache, prepare};
 use crate::service::{Choice, ChoiceError, DeviceOptions, StateReporter};
 
-/// Arguments of commands that use a device.
+/// Selects several devices, which `isopeel serve` alone uses.
+pub(super) const ALL_DEVICES: &str = "all";
+
+/// Arguments of commands that use one device.
 #[derive(Clone, Debug, Default, clap::Args)]
 pub struct DeviceArgs {
     /// OpenCL device: an index or a part of a name, as `isopeel devices` lists them [default: the first that passes the check]
-    #[arg(long, value_name = "SEL")]
+    #[arg(long, value_name = "SEL", value_parser = one_device)]
     device: Option<String>,
 
     /// Use the device of --device without a check, at your own risk: wrong surfaces are not noticed
@@ -53,7 +56,26 @@ pub enum NoDevice {
     NewProcess,
 }
 
+/// Parses the selector of one device.
+fn one_device(selector: &str) -> Result<String, String> {
+    if selector == ALL_DEVICES {
+        return Err(
+            "this command uses one device, expected an index or a part of a name; `isopeel serve` uses several".into(),
+        );
+    }
+    Ok(selector.to_owned())
+}
+
 impl DeviceArgs {
+    /// Creates the arguments of one of a server's devices.
+    pub(super) fn new(device: Option<String>, trust_device: bool, next: NextEnvironment) -> Self {
+        Self {
+            device,
+            trust_device,
+            next,
+        }
+    }
+
     fn requirements(&self, types: Vec<SampleType>, early: bool) -> DeviceRequirements {
         DeviceRequirements {
             selector: self.device.clone(),
@@ -124,11 +146,6 @@ impl DeviceArgs {
                 Err(NoDevice::NewProcess)
             }
         }
-    }
-
-    /// Returns the environment variables for a process that replaces this one.
-    pub(super) fn next(&self) -> &NextEnvironment {
-        &self.next
     }
 
     /// Returns the outcome of a command, unless the command has failed because the device needs other environment variables. In that case,

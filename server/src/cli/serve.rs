@@ -1,5 +1,6 @@
 //! `isopeel serve`: starts the server.
 
+mod devices;
 pub(super) mod memory;
 mod oidc;
 mod relaunch;
@@ -22,13 +23,15 @@ use crate::access::{
     TokenWatch, TrustedProxy,
 };
 use crate::jobs::{Limits, StateFolder, StateFolderError};
+use crate::metrics::DeviceNumber;
 use crate::pool::{self, ReadPool};
 use crate::private_folder::{self, FolderAccess, FolderAccessError};
 use crate::rest::SpoolFolder;
 use crate::serve::{self, Config, ConnectionLimits, ListenAddress, Listener, ServeError, Tls, TlsError};
-use crate::service::{DeviceOptions, DeviceWorker};
+use crate::service::{DeviceOptions, DevicePool, DeviceWorker};
 use crate::stream::LiveOptions;
 use crate::uploads::FolderError;
+use devices::{DevicesArgs, DevicesError};
 use memory::MemoryArgs;
 use uploads::UploadArgs;
 
@@ -62,7 +65,7 @@ pub struct Args {
     listen: ListenAddress,
 
     #[command(flatten)]
-    device: DeviceArgs,
+    devices: DevicesArgs,
 
     /// Frame of all positions: LPS (left, back and head of a patient are positive), RAS (right, front, head), or index, which counts
     /// samples. Volumes that do not say where a patient's sides are keep their own axes in the first two
@@ -73,7 +76,7 @@ pub struct Args {
     #[arg(long, value_name = "N", default_value_t = CEILING_TRIANGLES, value_parser = clap::value_parser!(u64).range(1..))]
     ceiling_triangles: u64,
 
-    /// Use the driver of the device in the server's own process: a driver that crashes or hangs then ends the server
+    /// Use the drivers of the devices in the server's own process: a driver that crashes or hangs then ends the server
     #[arg(long)]
     in_process: bool,
 
@@ -210,6 +213,9 @@ pub enum Error {
         /// Error of the system.
         source: std::io::Error,
     },
+    /// The devices cannot be selected.
+    #[error(transparent)]
+    Devices(#[from] DevicesError),
     /// The device needs a new process, which cannot be started.
     #[error("another process cannot take the place of this one, which the device's driver asks for")]
     Relaunch(#[source] std::io::Error),
@@ -321,7 +327,7 @@ pub fn run(args: &Args, log_arguments: &[String]) -> Result<(), Error> {
         time: half_drain,
         has_begun: Arc::clone(&is_draining),
     };
-    let (outcome, worker, address) = runtime.block_on(async {
+    let (outcome, devices, address) = runtime.block_on(async {
         let listener = listen(inherited.as_ref().map_or(&args.listen, |inherited| &inherited.listen)).await?;
         let metrics = match &args.metrics_listen {
             Some(address) => Some(listen(address).await?),
@@ -329,7 +335,7 @@ pub fn run(args: &Args, log_arguments: &[String]) -> Result<(), Error> {
         };
         let shutdown = signals::shutdown(reload(tls.clone(), audit.clone()), drain)?;
         // Comes after the listener, so that an address in use is reported before the device is opened.
-        let worker = start_worker(args, log_arguments, &catalog, inherited.is_some())?;
+        let devices = start_devices(args, log_arguments, &catalog, inherited.is_some())?;
         let address = listener.address()?;
         warn_of_network(args, &address);
         if inherited.is_none() {
@@ -348,7 +354,7 @@ pub fn run(args: &Args, log_arguments: &[String]) -> Result<(), Error> {
             spool,
             is_draining,
             grace: half_drain.max(serve::SHUTDOWN_GRACE),
-            ..Config::new(catalog, worker.clone(), access)
+            ..Config::new(catalog, devices.clone(), access)
         };
         let path_watch = watcher.map(|watcher| tokio::spawn(watch(watcher)));
         let token_watch = tokens.map(|tokens| tokio::spawn(tokens.run()));
@@ -356,21 +362,21 @@ pub fn run(args: &Args, log_arguments: &[String]) -> Result<(), Error> {
         for task in path_watch.into_iter().chain(token_watch) {
             task.abort();
         }
-        Ok::<_, Error>((outcome, worker, address))
+        Ok::<_, Error>((outcome, devices, address))
     })?;
-    // Ends tasks that still read files or write exports, so that they drop their handles of the worker.
+    // Ends tasks that still read files or write exports, so that they drop their handles of the devices.
     runtime.shutdown_timeout(Duration::from_millis(100));
     if let Some(audit) = audit {
         audit.flush(AUDIT_GRACE);
     }
-    let has_ended = worker.end_within(DEVICE_GRACE);
+    let has_ended = devices.end_within(DEVICE_GRACE);
     if matches!(outcome, Err(ServeError::NeedsNewProcess)) {
         tracing::warn!("another process takes the place of this one");
         log::finish();
         return Err(Error::Relaunch(relaunch::relaunch(
             &address,
             token.as_ref(),
-            args.device.next(),
+            args.devices.next(),
         )));
     }
     if !has_ended {
@@ -476,26 +482,35 @@ fn warn_of_network(args: &Args, address: &ListenAddress) {
     }
 }
 
-fn start_worker(
+/// Starts all devices.
+fn start_devices(
     args: &Args,
     log_arguments: &[String],
     catalog: &SharedCatalog,
     retries_opening: bool,
-) -> std::io::Result<DeviceWorker> {
+) -> Result<DevicePool, Error> {
     let now = catalog.now();
     let fields = now.datasets().iter().flat_map(|dataset| &dataset.fields);
     let types: HashSet<_> = fields.map(|field| field.sample_type).collect();
-    let types = types.into_iter().collect();
-    let options = DeviceOptions {
-        retries_opening,
-        surface_bytes: args.memory.surface_bytes(),
-        request_time: limit_of(args.request_time),
-        user_time: limit_of(args.user_time),
-        arguments: log_arguments.to_vec(),
-        hidden: if args.in_process { Vec::new() } else { args.hidden(&now) },
-        ..args.device.server_options(types)
+    let types: Vec<_> = types.into_iter().collect();
+    let hidden = if args.in_process { Vec::new() } else { args.hidden(&now) };
+    let each = args.devices.each()?;
+    let numbers = (0..).map_while(DeviceNumber::new);
+    let start = |(number, device): (DeviceNumber, &DeviceArgs)| {
+        let options = DeviceOptions {
+            number,
+            retries_opening,
+            surface_bytes: args.memory.surface_bytes(),
+            request_time: limit_of(args.request_time),
+            user_time: limit_of(args.user_time),
+            arguments: log_arguments.to_vec(),
+            hidden: hidden.clone(),
+            ..device.server_options(types.clone())
+        };
+        DeviceWorker::start_for_server(options, args.in_process)
     };
-    DeviceWorker::start_for_server(options, args.in_process)
+    let devices = numbers.zip(&each).map(start).collect::<Result<_, _>>()?;
+    DevicePool::new(devices).ok_or_else(|| DevicesError::Nothing(String::new()).into())
 }
 
 /// Converts a limit in seconds. 0 means no limit.

@@ -19,7 +19,10 @@ const OPTION: &str = "config";
 const VARIABLE: &str = "ISOPEEL_CONFIG";
 
 /// Options whose values contain commas. In an environment variable, semicolons separate several values.
-const HAVE_COMMAS: [&str; 1] = ["oidc-role"];
+const HAVE_COMMAS: [&str; 2] = ["oidc-role", "device"];
+
+/// Repeatable options of which a file may state a single value without a list.
+const MAY_BE_SINGLE: [&str; 1] = ["device"];
 
 /// Key of the paths in the file, because paths are arguments without an option name.
 const PATHS: &str = "paths";
@@ -195,6 +198,10 @@ fn values_of(arg: &Arg, key: &str, value: &Value, path: &Path) -> Result<Vec<Str
             let values: Option<Vec<_>> = values.iter().map(text).collect();
             values.ok_or_else(|| wrong("a list of texts"))
         }
+        (ArgAction::Append, value) if MAY_BE_SINGLE.contains(&key) => {
+            let value = text(value).ok_or_else(|| wrong("a text, a number or a list of them"))?;
+            Ok(vec![value])
+        }
         (ArgAction::Append, _) => Err(wrong("a list of texts")),
         _ => text(value)
             .map(|text| vec![text])
@@ -282,6 +289,48 @@ mod tests {
             roles("isopeel serve", "oidc-role = [\"staff=edit,export\", \"*=view\"]"),
             2
         );
+    }
+
+    #[test]
+    fn devices_may_be_several_everywhere_and_one_needs_no_list() {
+        let devices = |line: &str, file: &str| {
+            let args = format!("{:?}", served(file, line).expect("arguments"));
+            let (_, devices) = args.split_once("DevicesArgs { device: ").expect("the option");
+            let (devices, _) = devices.split_once(']').expect("a list");
+            format!("{devices}]")
+        };
+        for (line, file, expected) in [
+            ("isopeel serve", "", "[]"),
+            ("isopeel serve --device 1", "", r#"["1"]"#),
+            ("isopeel serve --device 1 --device gfx", "", r#"["1", "gfx"]"#),
+            ("isopeel serve --device 1;0", "", r#"["1", "0"]"#),
+            ("isopeel serve --device a,b", "", r#"["a,b"]"#),
+            (
+                "isopeel serve",
+                "device = \"llvmpipe (LLVM 15, 256 bits)\"",
+                r#"["llvmpipe (LLVM 15, 256 bits)"]"#,
+            ),
+            ("isopeel serve", "device = 1", r#"["1"]"#),
+            ("isopeel serve", "device = [0, \"gfx\"]", r#"["0", "gfx"]"#),
+            ("isopeel serve --device all", "device = [0, 1]", r#"["all"]"#),
+        ] {
+            assert_eq!(devices(line, file), expected, "{line}, {file}");
+        }
+        let error = served("device = true", "isopeel serve").expect_err("no device");
+        assert!(error.contains("a text, a number or a list of them"), "{error}");
+    }
+
+    #[test]
+    fn other_commands_use_one_device() {
+        for command in ["extract a.nrrd --iso 1 -o a.stl", "bench", "batch a.nrrd --iso 1 -o a"] {
+            let line = |devices: &str| words(&format!("isopeel {command} {devices}"));
+            let all = Cli::command().try_get_matches_from(line("--device all"));
+            let all = all.expect_err("several devices").to_string();
+            assert!(all.contains("this command uses one device"), "{all}");
+            let two = Cli::command().try_get_matches_from(line("--device 0 --device 1"));
+            let two = two.expect_err("several devices").to_string();
+            assert!(two.contains("cannot be used multiple times"), "{two}");
+        }
     }
 
     /// Lines of code in the documentation that call this program, joined with lines that continue them after a backslash.

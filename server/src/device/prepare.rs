@@ -57,6 +57,18 @@ pub enum DeviceFailure {
     /// No device is listed. The text is the error of the loader, or of the process that lists devices.
     #[error("{0}")]
     Nothing(String),
+    /// Two devices of a server need different environments.
+    #[error(
+        "{device} needs the environment variable {needed}, but another device needs {current}: use them in two servers"
+    )]
+    Conflict {
+        /// The device.
+        device: String,
+        /// Name and value of the variable that it needs.
+        needed: String,
+        /// Value of the variable in this process.
+        current: String,
+    },
     /// No device passed the check.
     #[error(
         "no OpenCL device passes the check, so that none is used:\n{report}\nUpdate or replace the driver (docs/opencl-drivers.md says which \
@@ -132,6 +144,8 @@ impl Checked {
 
 /// A search for a device.
 struct Search {
+    /// The selector of the requirements.
+    selector: Option<String>,
     /// Devices that are not tried yet, preferred first. Devices with a stored refusal come last.
     candidates: VecDeque<DeviceInfo>,
     /// Workarounds with which the first candidate was already tried.
@@ -145,6 +159,8 @@ struct Search {
 
 /// The device that was selected, and how to use it.
 struct Selection {
+    /// The selector of the requirements.
+    selector: Option<String>,
     device: DeviceInfo,
     workaround: Workaround,
     /// Environment variables with which a process sees the listed devices.
@@ -184,6 +200,7 @@ impl Search {
             self.candidates.push_front(device.clone());
             let search = Self { tried, ..self };
             return Ok(Selection {
+                selector: search.selector.clone(),
                 device,
                 workaround,
                 environment,
@@ -219,6 +236,7 @@ impl Search {
 
     fn selected(self, device: DeviceInfo, workaround: Workaround) -> Selection {
         Selection {
+            selector: self.selector,
             device,
             workaround,
             environment: self.environment,
@@ -283,6 +301,8 @@ impl PendingCheck {
 /// The choice that a process passes to the process that replaces it.
 #[derive(Serialize, Deserialize)]
 struct Chosen {
+    /// The selector of the requirements: a server with several devices chooses each by its own.
+    selector: Option<String>,
     index: usize,
     workaround: Workaround,
 }
@@ -293,7 +313,7 @@ struct Chosen {
 /// # Errors
 /// [`Unprepared`].
 pub fn prepare(requirements: &DeviceRequirements, progress: &dyn Fn(usize, usize)) -> Result<Prepared, Unprepared> {
-    if let Some(chosen) = chosen_before() {
+    if let Some(chosen) = chosen_before(requirements.selector.as_deref()) {
         return Ok(prepared_as(chosen));
     }
     let listed = list(requirements.folder.as_deref());
@@ -318,6 +338,7 @@ pub fn prepare(requirements: &DeviceRequirements, progress: &dyn Fn(usize, usize
     };
     if requirements.trusts {
         let trusted = Selection {
+            selector: requirements.selector.clone(),
             device: first.clone(),
             workaround: Workaround::None,
             environment: listed.environment,
@@ -326,6 +347,7 @@ pub fn prepare(requirements: &DeviceRequirements, progress: &dyn Fn(usize, usize
         return trusted.prepared();
     }
     let mut search = Search {
+        selector: requirements.selector.clone(),
         candidates,
         tried: Vec::new(),
         refused: Vec::new(),
@@ -449,12 +471,13 @@ impl Selection {
     /// [`Unprepared::NewProcess`] if the device needs environment variables that this process does not have. As [`PendingCheck::wait`] if
     /// the rest of the check fails.
     fn prepared(mut self) -> Result<Prepared, Unprepared> {
-        let mut needed = self
-            .environment
-            .iter()
-            .cloned()
-            .chain(to_owned_pair(self.workaround.environment()));
-        if needed.all(|(name, value)| std::env::var(name).is_ok_and(|current| current == value)) {
+        let workaround = to_owned_pair(self.workaround.environment());
+        let needed: Vec<_> = self.environment.iter().cloned().chain(workaround).collect();
+        if let Some(conflict) = self.conflict(&needed) {
+            return Err(Unprepared::Failed(conflict));
+        }
+        let is_set = |(name, value): &(String, String)| std::env::var(name).is_ok_and(|current| current == *value);
+        if needed.iter().all(is_set) {
             return Ok(Prepared {
                 selector: Some(self.device.index.to_string()),
                 tuning: self.workaround.tuning(&self.device),
@@ -468,11 +491,27 @@ impl Selection {
         Err(self.new_process())
     }
 
+    /// Returns the error that this process has another environment because another of its devices needs that one.
+    fn conflict(&self, needed: &Environment) -> Option<DeviceFailure> {
+        // The process that is started for a device finds the device without a selection.
+        std::env::var_os(CHOSEN)?;
+        let different = |(name, value): &(String, String)| {
+            let current = std::env::var(name).ok().filter(|current| current != value)?;
+            Some(DeviceFailure::Conflict {
+                device: DeviceId::new(&self.device).to_string(),
+                needed: format!("{name}={value}"),
+                current,
+            })
+        };
+        needed.iter().find_map(different)
+    }
+
     /// Returns the environment with which a new process uses the device without another check.
     fn new_process(self) -> Unprepared {
         let mut environment = self.environment;
         environment.extend(to_owned_pair(self.workaround.environment()));
         let chosen = Chosen {
+            selector: self.selector,
             index: self.device.index,
             workaround: self.workaround,
         };
@@ -483,9 +522,10 @@ impl Selection {
     }
 }
 
-/// Returns the choice of the process that this one replaces, if there was one.
-fn chosen_before() -> Option<Chosen> {
-    serde_json::from_str(&std::env::var(CHOSEN).ok()?).ok()
+/// Returns the choice of the process that this one replaces, if there was one for this selector.
+fn chosen_before(selector: Option<&str>) -> Option<Chosen> {
+    let chosen: Chosen = serde_json::from_str(&std::env::var(CHOSEN).ok()?).ok()?;
+    (chosen.selector.as_deref() == selector).then_some(chosen)
 }
 
 fn prepared_as(chosen: Chosen) -> Prepared {

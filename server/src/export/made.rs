@@ -20,7 +20,7 @@ use super::{
     extras, why_empty,
 };
 use crate::pool::{self, Panicked};
-use crate::service::DeviceWorker;
+use crate::service::{DeviceError, DeviceWorker};
 
 /// Content of a file that is complete, but not written yet.
 pub struct FileContent {
@@ -52,6 +52,15 @@ pub enum MakeError {
     /// The work panicked.
     #[error(transparent)]
     Panicked(#[from] Panicked),
+}
+
+impl DeviceError for MakeError {
+    fn work_error(&self) -> Option<&WorkError> {
+        match self {
+            Self::Work(error) => Some(error),
+            _ => None,
+        }
+    }
 }
 
 impl From<RepairError> for MakeError {

@@ -11,7 +11,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::state::Estimate;
 use crate::export::{FileRequest, OtherVolumes};
-use crate::service::DeviceWorker;
+use crate::service::{DevicePool, DeviceWorker, Seat};
 
 /// Number of extractions whose triangles are counted: the first, the middle and the last one. Few, because each may have to load a time
 /// step.
@@ -27,19 +27,21 @@ const SECONDS_PER_TRIANGLE: f64 = 2e-6;
 /// # Errors
 /// The volume cannot be read, or the device does not work.
 pub(super) async fn estimate(
-    worker: &DeviceWorker,
+    devices: &DevicePool,
     dataset: &Arc<Dataset>,
     extractions: &[(FileRequest, View)],
     token: &CancellationToken,
 ) -> Result<Estimate, EstimateError> {
     let (mut triangles, mut seconds) = (0.0, 0.0);
-    let samples = samples(extractions.len());
+    let (samples, seat) = (samples(extractions.len()), Seat::default());
     for &sample in &samples {
         let (request, _) = &extractions[sample];
         let volume = VolumeStep::new(Arc::clone(dataset), request.step)?;
         let surfaces = request.surfaces(&volume, &OtherVolumes::new());
         for surface in surfaces.map_err(WorkError::Edit)? {
-            let count = worker.count(&surface.volume, &surface.view, token).await?;
+            let (volume, view) = (&surface.volume, &surface.view);
+            let count = |worker: DeviceWorker| async move { worker.count(volume, view, token).await };
+            let count = devices.perform(&seat, volume, count).await?;
             triangles += within_budget(count.triangles, &surface.view) as f64;
             seconds += count.wall.as_secs_f64() + count.triangles as f64 * SECONDS_PER_TRIANGLE;
         }

@@ -13,7 +13,7 @@ use super::results::ResultFile;
 use super::state::Cause;
 use super::store::work::Work;
 use crate::export::{self, ExportError, FileContent, MakeError, OtherVolumes};
-use crate::service::DeviceWorker;
+use crate::service::{DevicePool, DeviceWorker, Seat};
 
 /// Makes the files of extractions. A trait, so that tests of the runner need no device.
 #[async_trait]
@@ -47,15 +47,15 @@ type Hashed = Arc<Mutex<HashMap<String, String>>>;
 /// Makes files from the volumes of the server.
 pub(super) struct DeviceMaker {
     catalog: SharedCatalog,
-    worker: DeviceWorker,
+    devices: DevicePool,
     hashed: Hashed,
 }
 
 impl DeviceMaker {
-    pub(super) fn new(catalog: SharedCatalog, worker: DeviceWorker) -> Self {
+    pub(super) fn new(catalog: SharedCatalog, devices: DevicePool) -> Self {
         Self {
             catalog,
-            worker,
+            devices,
             hashed: Arc::default(),
         }
     }
@@ -113,7 +113,10 @@ impl Maker for DeviceMaker {
         };
         let volume =
             VolumeStep::new(dataset, work.request.step).map_err(|error| refused("unknown-step", error.to_string()))?;
-        let file = export::make(&self.worker, &volume, &OtherVolumes::new(), &work.request, token).await;
+        let (volume, others) = (&volume, &OtherVolumes::new());
+        let make =
+            |worker: DeviceWorker| async move { export::make(&worker, volume, others, &work.request, token).await };
+        let file = self.devices.perform(&Seat::default(), volume, make).await;
         Ok(Box::new(file.map_err(failure)?))
     }
 

@@ -45,7 +45,7 @@ pub use store::requests::ResultInfo;
 /// Owner of jobs on the command line, which has no server.
 pub use crate::access::OPERATOR;
 use crate::export::{FileRequest, OtherVolumes};
-use crate::service::DeviceWorker;
+use crate::service::DevicePool;
 use estimate::{EstimateError, estimate};
 use maker::DeviceMaker;
 use results::Results;
@@ -112,7 +112,7 @@ struct Shared {
     store: Store,
     results: Results,
     catalog: SharedCatalog,
-    worker: DeviceWorker,
+    devices: DevicePool,
     /// Cache of file hashes, so that a submitted job need not hash files that have not changed.
     seen: SeenFiles,
     limits: Limits,
@@ -131,7 +131,7 @@ impl Jobs {
         folder: StateFolder,
         limits: Limits,
         catalog: SharedCatalog,
-        worker: DeviceWorker,
+        devices: DevicePool,
         stop: CancellationToken,
     ) -> Result<Self, OpenError> {
         let path = folder.path().to_owned();
@@ -161,7 +161,7 @@ impl Jobs {
             store,
             results,
             catalog,
-            worker,
+            devices,
             seen,
             limits,
             submits: Semaphore::new(CONCURRENT_SUBMITS),
@@ -173,15 +173,15 @@ impl Jobs {
     /// Runs submitted jobs until `stop` is cancelled, then returns soon.
     pub async fn run(self) {
         let shared = &self.0;
-        // Waits until the device is open, because an attempt that fails before would count.
+        // Waits until a device is open, because an attempt that fails before would count.
         tokio::select! {
-            _ = shared.worker.ready() => {}
+            _ = shared.devices.ready() => {}
             () = shared.stop.cancelled() => return,
         }
         let runner = Runner {
             store: shared.store.clone(),
             results: shared.results.clone(),
-            maker: DeviceMaker::new(shared.catalog.clone(), shared.worker.clone()),
+            maker: DeviceMaker::new(shared.catalog.clone(), shared.devices.clone()),
             signals: Arc::clone(&shared.signals),
             stop: shared.stop.clone(),
             quota_bytes: shared.limits.quota_bytes,
@@ -214,7 +214,7 @@ impl Jobs {
         // If the client disconnects, this future is dropped, and the guard cancels the estimate.
         let token = CancellationToken::new();
         let _cancel = token.clone().drop_guard();
-        let estimated = estimate(&shared.worker, dataset, &extractions, &token).await;
+        let estimated = estimate(&shared.devices, dataset, &extractions, &token).await;
         let estimate = estimated.map_err(|error| match error {
             EstimateError::Work(error) => JobError::Work(error),
             EstimateError::Step(source) => JobError::Step { extraction: 0, source },

@@ -31,7 +31,7 @@ use crate::access::Identity;
 use crate::export::{self, FileContent, FileDigest, FileRequest, OtherVolumes, merged_schema};
 use crate::pool;
 use crate::problem::{ApiError, Problem};
-use crate::service::DeviceWorker;
+use crate::service::{DevicePool, DeviceWorker, Seat};
 pub use spool::SpoolFolder;
 
 /// Header with the statistics that `isopeel extract --stats` prints, as JSON in ASCII.
@@ -182,8 +182,8 @@ impl Made {
         // notices that and ends.
         let token = CancellationToken::new();
         let _cancel = token.clone().drop_guard();
-        let worker = state.worker.charged_to(who.limited_user());
-        let task = tokio::spawn(Self::make(worker, source, request, token, permit));
+        let devices = state.devices.charged_to(who.limited_user());
+        let task = tokio::spawn(Self::make(devices, source, request, token, permit));
         let spool = state.spool;
         let outcome = tokio::time::timeout(EXPORT_DEADLINE, task).await.map_err(|_| {
             let deadline = EXPORT_DEADLINE.as_secs();
@@ -202,13 +202,16 @@ impl Made {
 
     /// Makes a file and its digest.
     async fn make(
-        worker: DeviceWorker,
+        devices: DevicePool,
         source: Source,
         request: FileRequest,
         token: CancellationToken,
         permit: ExportPermit,
     ) -> Result<(FileContent, FileDigest, ExportPermit), ApiError> {
-        let file = export::make(&worker, &source.volume, &source.others, &request, &token).await?;
+        let (volume, others, request, made_token) = (&source.volume, &source.others, &request, &token);
+        let make =
+            |worker: DeviceWorker| async move { export::make(&worker, volume, others, request, made_token).await };
+        let file = devices.perform(&Seat::default(), volume, make).await?;
         let digested = pool::run_export(move || {
             let digest = file.digest(&|| token.is_cancelled())?;
             Ok::<_, export::ExportError>((file, digest))

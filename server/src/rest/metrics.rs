@@ -6,8 +6,9 @@ use axum::response::{IntoResponse, Response};
 use isopeel_extraction::MemoryUse;
 
 use super::ApiState;
-use crate::metrics;
+use crate::metrics::{self, DeviceNumber};
 use crate::problem::{ApiError, Problem};
+use crate::service::{DevicePool, DeviceWorker};
 
 /// Media type of the metrics, with the version of Prometheus' text format that `metrics::render` writes.
 const CONTENT_TYPE: &str = "text/plain; version=0.0.4; charset=utf-8";
@@ -26,13 +27,12 @@ const CONTENT_TYPE: &str = "text/plain; version=0.0.4; charset=utf-8";
     ),
 )]
 pub async fn show(State(state): State<ApiState>) -> Result<Response, ApiError> {
-    let worker = state.worker;
-    metrics::set_queued_jobs(worker.queued());
+    state
+        .devices
+        .members()
+        .iter()
+        .for_each(|device| report_device(&state.devices, device));
     metrics::set_running_exports(state.exports.running_count());
-    // A device that is not open has no memory to report.
-    if let Some(used) = worker.memory_now() {
-        report_memory(&used);
-    }
     if let Some(jobs) = &state.jobs {
         for (state, count) in jobs.counts().await? {
             metrics::set_batch_jobs(state.name(), count);
@@ -49,8 +49,19 @@ pub async fn show(State(state): State<ApiState>) -> Result<Response, ApiError> {
     Ok(([(header::CONTENT_TYPE, CONTENT_TYPE)], text).into_response())
 }
 
-/// Sets the memory gauges.
-fn report_memory(used: &MemoryUse) {
+/// Sets the gauges of a device.
+fn report_device(devices: &DevicePool, device: &DeviceWorker) {
+    let (number, used) = (device.number(), device.memory_now());
+    metrics::set_queued_jobs(number, device.queued());
+    metrics::set_device(number, used.is_some(), devices.assigned(device));
+    // A device that is not open has no memory to report.
+    if let Some(used) = used {
+        report_memory(number, &used);
+    }
+}
+
+/// Sets the memory gauges of a device.
+fn report_memory(device: DeviceNumber, used: &MemoryUse) {
     for (owner, bytes) in [
         ("volumes", used.volume_bytes),
         ("pyramids", used.pyramid_bytes),
@@ -61,7 +72,7 @@ fn report_memory(used: &MemoryUse) {
         ("surfaces", used.surface_bytes),
         ("program", used.program_bytes),
     ] {
-        metrics::set_memory(owner, bytes);
+        metrics::set_device_memory(device, owner, bytes);
     }
     metrics::set_resident_bytes(used.resident_bytes);
 }

@@ -57,7 +57,7 @@ pub use volumes::{UnreadablePath, VolumeSummary};
 use crate::access::{Access, SeatLimits, Seats};
 use crate::jobs::Jobs;
 use crate::problem::{ApiError, Problem};
-use crate::service::DeviceWorker;
+use crate::service::DevicePool;
 use crate::uploads::Uploads;
 use export_queue::{ExportQueue, QueueLimits};
 use extract::address::KnownDigests;
@@ -111,7 +111,7 @@ const EVENT_STREAMS: SeatLimits = SeatLimits {
 #[derive(Clone)]
 pub struct ApiState {
     catalog: SharedCatalog,
-    worker: DeviceWorker,
+    devices: DevicePool,
     exports: ExportQueue,
     known_digests: KnownDigests,
     slices: Seats,
@@ -129,10 +129,10 @@ pub struct ApiState {
 
 impl ApiState {
     /// Creates the state of a server that offers the volumes of a catalog to users whom `access` authorizes.
-    pub fn new(catalog: SharedCatalog, worker: DeviceWorker, access: Access) -> Self {
+    pub fn new(catalog: SharedCatalog, devices: impl Into<DevicePool>, access: Access) -> Self {
         Self {
             catalog,
-            worker,
+            devices: devices.into(),
             exports: ExportQueue::new(EXPORTS),
             known_digests: KnownDigests::default(),
             slices: Seats::new(SLICES),
@@ -209,6 +209,7 @@ fn routed() -> OpenApiRouter<ApiState> {
         .routes(routes!(health::healthz))
         .routes(routes!(health::readyz))
         .routes(routes!(health::memory))
+        .routes(routes!(health::devices))
         .routes(routes!(metrics::show))
 }
 

@@ -6,6 +6,7 @@ use axum::extract::rejection::{PathRejection, QueryRejection};
 use axum::extract::{Path, Query, State};
 use axum::http::{HeaderMap, HeaderName, HeaderValue, header};
 use axum::response::{IntoResponse, Response};
+use isopeel_extraction::WorkError;
 use isopeel_kernels::OverviewMode;
 use serde::{Deserialize, Serialize};
 use utoipa::{IntoParams, ToSchema};
@@ -17,6 +18,7 @@ use super::{ApiState, whole_number};
 use crate::access::{Identity, Occupant};
 use crate::pool;
 use crate::problem::{ApiError, Problem};
+use crate::service::{DeviceError, DeviceWorker};
 
 /// Header with the size and the range of an overview: an `OverviewInfo` as JSON in ASCII.
 pub const OVERVIEW_HEADER: HeaderName = HeaderName::from_static("isopeel-overview");
@@ -56,6 +58,38 @@ pub struct OverviewQuery {
     #[serde(default)]
     #[param(inline)]
     mode: Mode,
+}
+
+/// Why an overview is not made.
+enum OverviewError {
+    /// The device's error.
+    Work(WorkError),
+    /// Too many overviews are being made.
+    Refused(ApiError),
+}
+
+impl From<WorkError> for OverviewError {
+    fn from(error: WorkError) -> Self {
+        Self::Work(error)
+    }
+}
+
+impl From<OverviewError> for ApiError {
+    fn from(error: OverviewError) -> Self {
+        match error {
+            OverviewError::Work(error) => error.into(),
+            OverviewError::Refused(error) => error,
+        }
+    }
+}
+
+impl DeviceError for OverviewError {
+    fn work_error(&self) -> Option<&WorkError> {
+        match self {
+            Self::Work(error) => Some(error),
+            Self::Refused(_) => None,
+        }
+    }
 }
 
 /// Size and range of an overview.
@@ -106,12 +140,15 @@ pub async fn overview(
     let (Path(id), Query(query)) = (id?, query?);
     let volume = state.volume(&who, &id, query.step)?;
     let field = field_of(&volume, query.field.as_deref())?;
-    let worker = state.worker_for(&who);
     let admit = || {
         let permit = state.overviews.acquire(Occupant::from(&who));
-        permit.map_err(|error| ApiError::busy(error.to_string()))
+        permit.map_err(|error| OverviewError::Refused(ApiError::busy(error.to_string())))
     };
-    let overview = worker.overview(&volume, &field.name, query.mode.into(), admit).await;
+    let make = |worker: DeviceWorker| {
+        let (volume, field, mode) = (&volume, &field.name, query.mode.into());
+        async move { worker.overview(volume, field, mode, admit).await }
+    };
+    let overview = state.perform(&who, &volume, make).await;
     let overview = overview.map_err(|error| state.failed_on(&who, &volume, error))?;
     let info = ascii_header(&OverviewInfo {
         field: &field.name,

@@ -17,6 +17,7 @@ use crate::access::{Identity, Occupant};
 use crate::export::slice::{Axis, BadSlice, Plane, SliceFormat, SliceOptions, isovalues, load_slice};
 use crate::pool;
 use crate::problem::{ApiError, Problem};
+use crate::service::DeviceWorker;
 
 /// Header with type and positions of the samples of a slice: a [`SliceInfo`] as JSON in ASCII.
 pub const SLICE_HEADER: HeaderName = HeaderName::from_static("isopeel-slice");
@@ -112,10 +113,12 @@ pub async fn slice(
     plane.check(&options).map_err(bad_slice)?;
     let permit = state.slices.acquire(Occupant::from(&who));
     let _permit = permit.map_err(|error| ApiError::busy(error.to_string()))?;
-    let worker = state.worker_for(&who);
-    let (slice, range) = load_slice(&worker, &volume, &plane, &options)
-        .await
-        .map_err(|error| state.failed_on(&who, &volume, error))?;
+    let load = |worker: DeviceWorker| {
+        let (volume, plane, options) = (&volume, &plane, &options);
+        async move { load_slice(&worker, volume, plane, options).await }
+    };
+    let (slice, range) =
+        (state.perform(&who, &volume, load).await).map_err(|error| state.failed_on(&who, &volume, error))?;
     let info = ascii_header(&info(&plane, slice.sample_type))?;
     let content_type = HeaderValue::from_static(options.format.content_type());
     let file = pool::run(move || plane.file(slice, &options, range)).await;

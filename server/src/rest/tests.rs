@@ -363,7 +363,7 @@ async fn without_a_device_the_server_lives_and_says_what_it_cannot_do() {
     assert_eq!(response.status(), StatusCode::OK);
 
     let state = state();
-    assert!(state.worker.ready().await.is_err());
+    assert!(state.devices.ready().await.is_err());
     let request = Request::get("/readyz").body(Body::empty()).unwrap();
     let response = router(state.clone())
         .layer(Extension(Identity::without_token()))
@@ -574,7 +574,7 @@ async fn what_each_path_needs_is_listed() {
                 .header(header::AUTHORIZATION, format!("Bearer {}", token.text()));
             let answer = gated.clone().oneshot(request.body(Body::empty()).unwrap()).await;
             let is_refused = answer.unwrap().status() == StatusCode::FORBIDDEN;
-            let is_for_admin = ["/api/v1/memory", "/metrics"].contains(&path.as_str());
+            let is_for_admin = ["/api/v1/devices", "/api/v1/memory", "/metrics"].contains(&path.as_str());
             assert_eq!(is_refused, is_for_admin, "{method} {path}");
         }
     }

@@ -15,7 +15,7 @@ use utoipa::{IntoParams, ToSchema};
 use super::{ApiState, whole_number};
 use crate::access::Identity;
 use crate::problem::{ApiError, Problem};
-use crate::service::{DeviceWorker, FieldInfo, VolumeInfo, describe, describe_expression};
+use crate::service::{DeviceError, DeviceWorker, FieldInfo, Seat, VolumeInfo, describe, describe_expression};
 
 /// Summary of a volume.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
@@ -127,7 +127,11 @@ pub async fn show(
     let Path(id) = id?;
     let Query(StepQuery { step }) = query?;
     let volume = state.volume(&who, &id, step)?;
-    let described = describe(&state.worker_for(&who), &volume).await;
+    let describe = |worker: DeviceWorker| {
+        let volume = &volume;
+        async move { describe(&worker, volume).await }
+    };
+    let described = state.perform(&who, &volume, describe).await;
     Ok(Json(described.map_err(|error| state.failed_on(&who, &volume, error))?))
 }
 
@@ -179,7 +183,11 @@ pub async fn expression(
         typed,
     }) = query?;
     let volume = state.volume(&who, &id, step)?;
-    let described = describe_expression(&state.worker_for(&who), &volume, &expression).await;
+    let describe = |worker: DeviceWorker| {
+        let (volume, expression) = (&volume, &expression);
+        async move { describe_expression(&worker, volume, expression).await }
+    };
+    let described = state.perform(&who, &volume, describe).await;
     match described.map_err(|error| state.failed_on(&who, &volume, error)) {
         Err(error) if typed && error.code() == "bad-edit" => {
             let mut response = error.into_response();
@@ -200,9 +208,19 @@ impl ApiState {
         )?)
     }
 
-    /// Returns a device worker whose time is charged to the user, unless the user is exempt from limits.
-    pub(super) fn worker_for(&self, who: &Identity) -> DeviceWorker {
-        self.worker.charged_to(who.limited_user())
+    /// Does work on a volume, on a device that has it or gets it. The device's time is charged to the user, unless the user is exempt from
+    /// limits.
+    pub(super) async fn perform<T, E: DeviceError, F>(
+        &self,
+        who: &Identity,
+        volume: &VolumeStep,
+        work: impl Fn(DeviceWorker) -> F + Send,
+    ) -> Result<T, E>
+    where
+        F: Future<Output = Result<T, E>> + Send,
+    {
+        let devices = self.devices.charged_to(who.limited_user());
+        devices.perform(&Seat::default(), volume, work).await
     }
 
     /// Converts an error of work on these volumes to a problem. An unreadable volume becomes an unknown volume if it was removed meanwhile.

@@ -61,6 +61,8 @@ impl DeviceWorker {
                 retries.not_begun += 1;
                 Ok(())
             }
+            // The request is not the cause, so it may be done on another device.
+            JobError::NotBegun => Err(WorkError::Reopening),
             error => Err(error.into()),
         };
         match prepared {

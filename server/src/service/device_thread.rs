@@ -24,7 +24,8 @@ use super::job::DeviceJob;
 use super::scheduler::Queue;
 use crate::device::{Proven, cache};
 use crate::error::chain;
-use crate::{metrics, pool};
+use crate::metrics::{self, DeviceNumber};
+use crate::pool;
 
 /// Time between two attempts to open a lost device. Meanwhile jobs fail at once.
 const RETRY_INTERVAL: Duration = Duration::from_millis(500);
@@ -33,20 +34,20 @@ const RETRY_INTERVAL: Duration = Duration::from_millis(500);
 /// variables.
 const STACK_BYTES: usize = 16 << 20;
 
-/// Forwards the events of a workspace to the metrics.
-pub(super) struct Metrics;
+/// Forwards the events of a workspace to the metrics of a device.
+pub(super) struct Metrics(pub DeviceNumber);
 
 impl Observer for Metrics {
     fn looked_up(&self, cache: &'static str, is_hit: bool) {
-        metrics::looked_up(cache, is_hit);
+        metrics::looked_up(self.0, cache, is_hit);
     }
 
     fn stage(&self, stage: &'static str, milliseconds: f64) {
-        metrics::stage(stage, milliseconds);
+        metrics::stage(self.0, stage, milliseconds);
     }
 
     fn device_lost(&self) {
-        metrics::device_lost();
+        metrics::device_lost(self.0);
     }
 }
 
@@ -190,6 +191,8 @@ pub type DeviceChooser = Box<dyn FnOnce(&StateReporter) -> Result<Choice, Choice
 
 /// Options of a device's thread.
 pub struct DeviceOptions {
+    /// Number of the device among those of the server.
+    pub number: DeviceNumber,
     /// Chooses the device.
     pub choose: DeviceChooser,
     /// Sample types of which a first surface is made before the device is ready, so that no viewer waits for a compiler.
@@ -213,6 +216,7 @@ impl DeviceOptions {
     /// Returns options to open the device that `selector` names, without a check.
     pub fn unchecked(selector: Option<String>) -> Self {
         Self {
+            number: DeviceNumber::default(),
             choose: Box::new(|_| {
                 Ok(Choice {
                     selector,
@@ -232,6 +236,7 @@ impl DeviceOptions {
 
 /// State that the handles of a device share with the thread that serves their jobs.
 pub(super) struct Parts {
+    pub number: DeviceNumber,
     pub state: StateReporter,
     pub memory: watch::Sender<WorkspaceMemory>,
     /// Number of the current engine.

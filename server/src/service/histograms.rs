@@ -31,7 +31,7 @@ impl DeviceWorker {
     /// As [`DeviceWorker::histogram`], for a key.
     pub(super) async fn histogram_of(&self, volume: &VolumeStep, key: &HistogramKey) -> Result<Histogram, WorkError> {
         let cached = self.shared.histograms.get(key);
-        metrics::looked_up("histogram", cached.is_some());
+        metrics::looked_up(self.shared.number, "histogram", cached.is_some());
         let histogram = match cached {
             Some(histogram) => histogram,
             None => self.make_histogram(volume, key).await?,

@@ -1,12 +1,13 @@
 //! Jobs: requests in the queue of the device's thread.
 
-use std::sync::Mutex;
+use std::sync::{Arc, Mutex};
 use std::time::Instant;
 
 use isopeel_extraction::{DeviceReply, DeviceRequest, JobContext, JobError, Question, WorkError, Workspace, lock};
 use tokio::sync::{OwnedSemaphorePermit, oneshot};
 use tokio_util::sync::CancellationToken;
 
+use super::means::Mean;
 use super::scheduler::{Caller, Job, Length, PausedQueue, Queue, Token};
 use crate::metrics::{self, JobLabels};
 
@@ -63,6 +64,8 @@ pub(super) struct LocalRequester {
     labels: JobLabels,
     /// When the job was queued.
     queued: Instant,
+    /// Mean time of the device's jobs.
+    seconds: Arc<Mean>,
     /// When the job began, and its space in the queue until then.
     begun: Mutex<(Option<Instant>, Option<OwnedSemaphorePermit>)>,
 }
@@ -72,11 +75,13 @@ impl LocalRequester {
     pub(super) fn new(
         labels: JobLabels,
         space: OwnedSemaphorePermit,
+        seconds: Arc<Mean>,
     ) -> (Self, oneshot::Receiver<Result<DeviceReply, JobError>>) {
         let (reply, outcome) = oneshot::channel();
         let requester = Self {
             reply,
             labels,
+            seconds,
             queued: Instant::now(),
             begun: Mutex::new((None, Some(space))),
         };
@@ -93,7 +98,9 @@ impl Requester for LocalRequester {
 
     fn ended(self: Box<Self>, outcome: Result<DeviceReply, JobError>) {
         if let Some(begun) = lock(&self.begun).0 {
-            metrics::job_ended(self.labels, begun.elapsed());
+            let time = begun.elapsed();
+            metrics::job_ended(self.labels, time);
+            self.seconds.add(time.as_secs_f64());
         }
         // Sending fails if the caller is gone, which is no error.
         let _ = self.reply.send(outcome);

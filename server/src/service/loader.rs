@@ -137,6 +137,7 @@ impl DeviceWorker {
         progress: &Arc<ReadProgress>,
         purpose: Purpose,
     ) -> Result<(), WorkError> {
+        let begun = Instant::now();
         let (key, progress) = (key.clone(), Arc::clone(progress));
         let grid = Arc::new(padded_grid(volume, key.padded)?);
         self.admit(volume, &key, purpose).await?;
@@ -149,14 +150,17 @@ impl DeviceWorker {
         let uploaded = self.upload_pieces(&key, grid, pieces, purpose).await;
         let read = reading.await.unwrap_or(Err(WorkError::Stopped));
         let loaded = match (uploaded, read) {
-            (Ok(false), _) => return Ok(()),
-            (Ok(true), Ok(())) => self.make_table(&key).await,
-            (Err(error), _) | (Ok(true), Err(error)) => Err(error),
+            (Ok(None), _) => return Ok(()),
+            (Ok(Some(bytes)), Ok(())) => self.make_table(&key).await.map(|()| bytes),
+            (Err(error), _) | (Ok(Some(_)), Err(error)) => Err(error),
         };
-        if let Err(error) = loaded {
-            // If dropping fails too, the device is lost, and its memory with it.
-            let _ = self.run_for_cache(DropUpload { key }).await;
-            return Err(error);
+        match loaded {
+            Ok(bytes) => self.shared.load_rate.add(bytes as f64 / begun.elapsed().as_secs_f64()),
+            Err(error) => {
+                // If dropping fails too, the device is lost, and its memory with it.
+                let _ = self.run_for_cache(DropUpload { key }).await;
+                return Err(error);
+            }
         }
         let is_ahead = matches!(purpose, Purpose::Ahead { .. });
         self.run_for_cache(FinishUpload { key, is_ahead }).await
@@ -206,17 +210,18 @@ impl DeviceWorker {
         }
     }
 
-    /// Uploads the pieces of a field as they arrive. If the field is read ahead and there is no space for it, drops the pieces and returns
-    /// false.
+    /// Uploads the pieces of a field as they arrive. Returns the bytes of all samples. If the field is read ahead and there is no space for
+    /// it, drops the pieces and returns `None`.
     async fn upload_pieces(
         &self,
         key: &VolumeKey,
         grid: Arc<RectilinearGrid>,
         mut pieces: mpsc::Receiver<Piece>,
         purpose: Purpose,
-    ) -> Result<bool, WorkError> {
-        let mut is_first = true;
+    ) -> Result<Option<u64>, WorkError> {
+        let (mut is_first, mut bytes) = (true, 0);
         while let Some(Piece { samples, missing }) = pieces.recv().await {
+            bytes += (samples.len() * samples.sample_type().bytes()) as u64;
             if std::mem::take(&mut is_first) {
                 let begin = BeginUpload {
                     key: key.clone(),
@@ -229,7 +234,7 @@ impl DeviceWorker {
                     },
                 };
                 if !self.run_for_cache(begin).await? {
-                    return Ok(false);
+                    return Ok(None);
                 }
             }
             if samples.len() <= REQUEST_SAMPLES {
@@ -243,7 +248,7 @@ impl DeviceWorker {
                 self.run_for_cache(ContinueUpload { key, samples }).await?;
             }
         }
-        Ok(true)
+        Ok(Some(bytes))
     }
 }
 

@@ -7,6 +7,10 @@
 //! - `scheduler`: the order of jobs. It runs other jobs when a long job pauses.
 //! - `observed`: state for monitoring.
 //!
+//! Several devices:
+//! - `device_pool`: the devices of a server, and which of them work on a volume. `assignment`: decides which devices have which datasets.
+//!   `means`: measured times of a device.
+//!
 //! Fields:
 //! - `loader`: reads fields and sends them to the device. `loading`: progress of the loads.
 //! - `pins`: callers that wait until volumes can be pinned.
@@ -20,12 +24,15 @@
 //! - `volume_info`: the description of a volume.
 
 mod ahead;
+mod assignment;
 mod attempts;
+mod device_pool;
 mod device_thread;
 mod histograms;
 mod job;
 mod loader;
 mod loading;
+mod means;
 mod observed;
 mod overview_cache;
 mod overviews;
@@ -38,6 +45,7 @@ mod unfinished;
 mod volume_info;
 mod worker;
 
+pub use device_pool::{DeviceError, DevicePool, Seat};
 pub use device_thread::{Choice, ChoiceError, DeviceChooser, DeviceOptions, DeviceState, Preparation, StateReporter};
 pub use job::TRACE;
 pub use loading::{OpeningProgress, OpeningWatch};

@@ -33,7 +33,7 @@ impl DeviceWorker {
         };
         let overviews = &self.shared.overviews;
         let cached = overviews.cached(&key);
-        metrics::looked_up("overview", cached.is_some());
+        metrics::looked_up(self.shared.number, "overview", cached.is_some());
         if let Some(overview) = cached {
             return Ok(overview);
         }

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
 use tokio_util::sync::CancellationToken;
 
-use crate::metrics::JobLabels;
+use crate::metrics::{DeviceNumber, JobLabels};
 
 /// Kind of caller of a job.
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -51,8 +51,9 @@ pub(super) enum Length {
 }
 
 /// Returns the names of caller and length in metrics.
-pub(super) fn job_labels(caller: Caller, length: Length) -> JobLabels {
+pub(super) fn job_labels(device: DeviceNumber, caller: Caller, length: Length) -> JobLabels {
     JobLabels {
+        device,
         caller: match caller {
             Caller::Viewer => "viewer",
             Caller::Request => "request",

@@ -27,12 +27,14 @@ use super::device_thread::{
 };
 use super::job::{DeviceJob, LocalRequester, TRACE, length_of};
 use super::loading::{FieldWork, Loads, OpeningWatch};
+use super::means::Mean;
 use super::overview_cache::Overviews;
 use super::pins::WaitingPins;
 use super::process::{self, Link};
 use super::scheduler::{Caller, Length, Permits, job_labels};
 use super::unfinished::UnfinishedHistograms;
 use crate::device::Proven;
+use crate::metrics::DeviceNumber;
 
 /// Maximum number of waiting jobs: some 3 s of work, at 50 ms for a typical prefix. If the queue is full, requests are refused as busy, and
 /// viewers wait.
@@ -61,11 +63,13 @@ pub struct DeviceWorker {
 }
 
 pub(super) struct Shared {
+    /// Number of the device among those of the server.
+    pub number: DeviceNumber,
     /// Where jobs go; `None` once the last handle is being dropped.
     jobs: Option<Jobs>,
     /// Space in the queue. A job takes some until it begins.
     space: Arc<Semaphore>,
-    state: watch::Receiver<DeviceState>,
+    pub state: watch::Receiver<DeviceState>,
     pub memory: watch::Receiver<WorkspaceMemory>,
     /// Number of the engine, set by the thread.
     engine: Arc<AtomicU64>,
@@ -79,6 +83,10 @@ pub(super) struct Shared {
     pub loads: Loads,
     /// Time steps that viewers have open. Shared with the thread, which does not evict the fields of these steps for read-ahead.
     pub open_steps: OpenSteps,
+    /// Mean time of a job, in seconds.
+    job_seconds: Arc<Mean>,
+    /// Mean bytes of samples that are loaded in a second.
+    pub load_rate: Mean,
     /// Permit to read a time step ahead. There is only one, because each read-ahead occupies a disk, and a processor too if the samples are
     /// compressed.
     pub ahead_permits: Semaphore,
@@ -137,8 +145,9 @@ impl DeviceWorker {
     /// The thread cannot be started.
     pub fn start_with(options: DeviceOptions) -> std::io::Result<Self> {
         let (jobs, receiver) = mpsc::channel(QUEUED_JOBS);
-        Self::start_device(|parts| {
+        Self::start_device(options.number, |parts| {
             let Parts {
+                number,
                 state,
                 memory,
                 engine,
@@ -160,7 +169,7 @@ impl DeviceWorker {
                 pins,
                 open_steps,
                 proven,
-                observer: Arc::new(Metrics),
+                observer: Arc::new(Metrics(number)),
                 activity: Arc::default(),
             };
             let thread = device_thread::spawn(move || thread.run(options.choose, receiver))?;
@@ -186,18 +195,22 @@ impl DeviceWorker {
     /// # Errors
     /// The thread that starts the process cannot be started.
     fn start_process(options: DeviceOptions) -> std::io::Result<Self> {
-        Self::start_device(|parts| {
+        Self::start_device(options.number, |parts| {
             let (link, thread) = process::start(options, parts)?;
             Ok((Jobs::Process(link), thread))
         })
     }
 
     /// Creates a worker. `start` starts the thread that serves the jobs.
-    fn start_device(start: impl FnOnce(Parts) -> std::io::Result<(Jobs, JoinHandle<()>)>) -> std::io::Result<Self> {
+    fn start_device(
+        number: DeviceNumber,
+        start: impl FnOnce(Parts) -> std::io::Result<(Jobs, JoinHandle<()>)>,
+    ) -> std::io::Result<Self> {
         let (state, state_receiver) = watch::channel(DeviceState::Opening(Preparation::default()));
         let (memory, memory_receiver) = watch::channel(WorkspaceMemory::default());
         let pins = WaitingPins::default();
         let parts = Parts {
+            number,
             state: StateReporter::new(state),
             memory,
             engine: Arc::default(),
@@ -211,6 +224,7 @@ impl DeviceWorker {
         let (jobs, thread) = start(parts)?;
         Ok(Self {
             shared: Arc::new(Shared {
+                number,
                 jobs: Some(jobs),
                 space: Arc::new(Semaphore::new(QUEUED_JOBS)),
                 state: state_receiver,
@@ -223,6 +237,8 @@ impl DeviceWorker {
                 last_probe: tokio::sync::Mutex::default(),
                 loads: Loads::new(),
                 open_steps,
+                job_seconds: Arc::default(),
+                load_rate: Mean::default(),
                 ahead_permits: Semaphore::new(1),
                 permits: Permits::new(VIEWER_JOBS),
                 pins,
@@ -256,20 +272,50 @@ impl DeviceWorker {
     /// Ends the thread. Returns false if other handles still exist, or if ending takes longer than `limit`: the thread then runs until the
     /// process ends.
     pub fn end_within(self, limit: Duration) -> bool {
-        let Some(mut shared) = Arc::into_inner(self.shared) else {
-            return false;
-        };
-        shared.jobs = None;
-        let start = Instant::now();
-        while shared.thread.as_ref().is_some_and(|thread| !thread.is_finished()) {
-            if start.elapsed() > limit {
-                // Detaches the thread: otherwise dropping `shared` would wait for it.
-                drop(shared.thread.take());
-                return false;
-            }
-            std::thread::sleep(END_POLL_INTERVAL);
+        Self::end_all_within(vec![self], limit)
+    }
+
+    /// As [`DeviceWorker::end_within`], for several devices at once.
+    pub(super) fn end_all_within(workers: Vec<Self>, limit: Duration) -> bool {
+        let count = workers.len();
+        let only = workers.into_iter().filter_map(|worker| Arc::into_inner(worker.shared));
+        let mut ending: Vec<_> = only.collect();
+        let mut all_end = ending.len() == count;
+        for shared in &mut ending {
+            shared.jobs = None;
         }
-        true
+        let start = Instant::now();
+        for shared in &mut ending {
+            while shared.thread.as_ref().is_some_and(|thread| !thread.is_finished()) {
+                if start.elapsed() > limit {
+                    // Detaches the thread: otherwise dropping `shared` would wait for it.
+                    drop(shared.thread.take());
+                    all_end = false;
+                    break;
+                }
+                std::thread::sleep(END_POLL_INTERVAL);
+            }
+        }
+        all_end
+    }
+
+    /// Returns the id of the process of the device; `None` if it has none now, or never.
+    pub fn process(&self) -> Option<u32> {
+        match self.shared.jobs.as_ref()? {
+            Jobs::Thread(_) => None,
+            Jobs::Process(link) => link.process(),
+        }
+    }
+
+    /// Returns the number of the device among those of the server.
+    pub fn number(&self) -> DeviceNumber {
+        self.shared.number
+    }
+
+    /// Returns the expected time until a job that is queued now begins.
+    pub(super) fn wait(&self) -> Duration {
+        let job_seconds = self.shared.job_seconds.get().unwrap_or(0.0);
+        Duration::try_from_secs_f64(self.queued() as f64 * job_seconds).unwrap_or(Duration::MAX)
     }
 
     /// Returns the id of the engine that jobs run on now.
@@ -392,7 +438,11 @@ impl DeviceWorker {
             () = token.cancelled() => return Err(WorkError::Cancelled.into()),
         };
         let space = self.space(caller).await?;
-        let (requester, outcome) = LocalRequester::new(job_labels(caller, length), space);
+        let (requester, outcome) = LocalRequester::new(
+            job_labels(self.shared.number, caller, length),
+            space,
+            Arc::clone(&self.shared.job_seconds),
+        );
         let token = token.child_token();
         // Cancels the job if its caller is gone.
         let _guard = (caller != Caller::Cache).then(|| token.clone().drop_guard());

@@ -6,7 +6,7 @@ use std::time::Duration;
 use isopeel_extraction::{
     Answer, EngineId, FullCount, Measurement, OpenStepGuard, Question, Refinement, ShownSurface, Step, WorkError,
 };
-use isopeel_kernels::DeviceKind;
+use isopeel_kernels::{DeviceInfo, DeviceKind};
 use isopeel_view::View;
 use isopeel_volumes::{Dataset, Lease, SharedCatalog, VolumeStep};
 use serde_json::value::RawValue;
@@ -15,7 +15,7 @@ use tokio_util::sync::CancellationToken;
 
 use crate::access::Identity;
 use crate::error::chain;
-use crate::service::{DeviceState, DeviceWorker, OpeningProgress, OpeningWatch, describe};
+use crate::service::{DevicePool, DeviceState, DeviceWorker, OpeningProgress, OpeningWatch, Seat, describe};
 
 /// Default capacity, in bytes, of the cache of chunks for viewers of equal views: some dozen surfaces of a million triangles.
 pub const SHARED_BYTES: u64 = 256 << 20;
@@ -28,7 +28,7 @@ pub trait Backend: Clone + Send + Sync + 'static {
     /// Returns the dataset with the id `volume`, if there is one that the user may see.
     fn find(&self, volume: &str, who: &Identity) -> Option<Arc<Dataset>>;
 
-    /// Returns a backend that charges its work to this user, for the limits per user.
+    /// Returns a backend for a viewer, which charges its work to this user, for the limits per user.
     #[must_use]
     fn charged_to(self, _who: &Identity) -> Self {
         self
@@ -73,9 +73,14 @@ pub trait Backend: Clone + Send + Sync + 'static {
         false
     }
 
-    /// Returns the id of the current engine. A device that was lost and opened again has another id.
-    fn engine(&self) -> EngineId {
+    /// Returns the id of the engine that works on a volume now. A device that was lost and opened again has another id, as has another device.
+    fn engine(&self, _volume: &VolumeStep) -> EngineId {
         EngineId::default()
+    }
+
+    /// Returns the device that works on a volume now, if it may be another one than that on which the volume was opened.
+    fn device(&self, _volume: &VolumeStep) -> Option<DeviceInfo> {
+        None
     }
 
     /// Loads the samples of all fields that a view of a time step uses, and returns the view with every value resolved.
@@ -143,18 +148,20 @@ pub struct Opening {
     pub shares_processors: bool,
 }
 
-/// The backend of a server: its catalog and its device worker.
+/// The backend of a server: its catalog and its devices.
 #[derive(Clone)]
 pub struct LiveBackend {
     catalog: SharedCatalog,
-    worker: DeviceWorker,
+    devices: DevicePool,
+    /// The device of the viewer's volume.
+    seat: Seat,
     options: LiveOptions,
 }
 
 /// Options of the [`LiveBackend`].
 #[derive(Clone, Copy, Debug)]
 pub struct LiveOptions {
-    /// Maximum bytes that time steps that are read ahead may take on the device; 0 turns read-ahead off.
+    /// Maximum bytes that time steps that are read ahead may take on each device; 0 turns read-ahead off.
     pub ahead_bytes: u64,
     /// Maximum bytes of chunks that are cached for viewers of equal views; 0 disables the cache.
     pub shared_bytes: u64,
@@ -175,12 +182,21 @@ impl Default for LiveOptions {
 
 impl LiveBackend {
     /// Creates a backend that offers the volumes of a catalog.
-    pub fn new(catalog: SharedCatalog, worker: DeviceWorker, options: LiveOptions) -> Self {
+    pub fn new(catalog: SharedCatalog, devices: DevicePool, options: LiveOptions) -> Self {
         Self {
             catalog,
-            worker,
+            devices,
+            seat: Seat::default(),
             options,
         }
+    }
+
+    /// Does work on a volume, on the device of this viewer's seat.
+    async fn perform<T, F>(&self, volume: &VolumeStep, work: impl Fn(DeviceWorker) -> F + Send) -> Result<T, WorkError>
+    where
+        F: Future<Output = Result<T, WorkError>> + Send,
+    {
+        self.devices.perform(&self.seat, volume, work).await
     }
 }
 
@@ -191,7 +207,8 @@ impl Backend for LiveBackend {
 
     fn charged_to(self, who: &Identity) -> Self {
         Self {
-            worker: self.worker.charged_to(who.limited_user()),
+            devices: self.devices.charged_to(who.limited_user()),
+            seat: Seat::default(),
             ..self
         }
     }
@@ -207,12 +224,12 @@ impl Backend for LiveBackend {
         token: &CancellationToken,
         progress: &watch::Sender<OpeningProgress>,
     ) -> Result<Opening, WorkError> {
-        let open = async {
+        let open = self.perform(volume, |worker| async move {
             let device = tokio::select! {
-                ready = self.worker.ready() => ready?,
-                never = report_device(self.worker.states(), progress) => never,
+                ready = worker.ready() => ready?,
+                never = report_device(worker.states(), progress) => never,
             };
-            let (worker, watch) = self.worker.with_watch(volume, view).await?;
+            let (worker, watch) = worker.with_watch(volume, view).await?;
             let (view, volume) = tokio::select! {
                 resolved = describe_and_resolve(&worker, volume, view, token) => resolved?,
                 never = report_progress(&watch, progress) => never,
@@ -223,7 +240,7 @@ impl Backend for LiveBackend {
                 shares_processors: device.kind == DeviceKind::Cpu,
                 device: device.name,
             })
-        };
+        });
         // Stop waiting if the viewer is gone. The histogram in progress is still finished for the cache.
         tokio::select! {
             opening = open => opening,
@@ -233,36 +250,48 @@ impl Backend for LiveBackend {
 
     async fn describe(&self, volume: &VolumeStep, token: &CancellationToken) -> Result<Box<RawValue>, WorkError> {
         tokio::select! {
-            description = describe_json(&self.worker, volume) => description,
+            description = self.perform(volume, |worker| async move { describe_json(&worker, volume).await }) => description,
             () = token.cancelled() => Err(WorkError::Cancelled),
         }
     }
 
     async fn read_ahead(&self, volume: &VolumeStep, views: &[View], token: &CancellationToken) {
-        let read = self.worker.read_ahead(volume, views, self.options.ahead_bytes, token);
+        let bytes = self.options.ahead_bytes;
+        let read = self.perform(volume, |worker| async move {
+            worker.read_ahead(volume, views, bytes, token).await
+        });
         if let Err(error) = read.await {
             tracing::debug!(error = chain(&error), "a time step could not be read ahead");
         }
     }
 
     fn mark_open(&self, volume: &VolumeStep) -> OpenStepGuard {
-        self.worker.mark_open(volume)
+        self.devices.mark_open(&self.seat, volume)
     }
 
     fn watches(&self) -> bool {
         self.options.watches
     }
 
-    fn engine(&self) -> EngineId {
-        self.worker.engine()
+    fn engine(&self, volume: &VolumeStep) -> EngineId {
+        self.devices.engine(&self.seat, volume)
+    }
+
+    fn device(&self, volume: &VolumeStep) -> Option<DeviceInfo> {
+        self.devices.device(&self.seat, volume)
     }
 
     async fn resolve(&self, volume: &VolumeStep, view: &View, token: &CancellationToken) -> Result<View, WorkError> {
-        self.worker.prepare(volume, view, token).await
+        self.perform(
+            volume,
+            |worker| async move { worker.prepare(volume, view, token).await },
+        )
+        .await
     }
 
     async fn count(&self, volume: &VolumeStep, view: &View, token: &CancellationToken) -> Result<FullCount, WorkError> {
-        self.worker.count(volume, view, token).await
+        self.perform(volume, |worker| async move { worker.count(volume, view, token).await })
+            .await
     }
 
     async fn refine(
@@ -272,7 +301,10 @@ impl Backend for LiveBackend {
         step: Step,
         token: &CancellationToken,
     ) -> Result<Refinement, WorkError> {
-        self.worker.refine(volume, view, step, token).await
+        self.perform(volume, |worker| async move {
+            worker.refine(volume, view, step, token).await
+        })
+        .await
     }
 
     async fn improve(
@@ -281,7 +313,11 @@ impl Backend for LiveBackend {
         view: &View,
         token: &CancellationToken,
     ) -> Result<Option<Refinement>, WorkError> {
-        self.worker.improve(volume, view, token).await
+        self.perform(
+            volume,
+            |worker| async move { worker.improve(volume, view, token).await },
+        )
+        .await
     }
 
     async fn measure(
@@ -290,7 +326,11 @@ impl Backend for LiveBackend {
         view: &View,
         token: &CancellationToken,
     ) -> Result<Option<Measurement>, WorkError> {
-        self.worker.measure(volume, view, token).await
+        self.perform(
+            volume,
+            |worker| async move { worker.measure(volume, view, token).await },
+        )
+        .await
     }
 
     async fn answer(
@@ -300,7 +340,10 @@ impl Backend for LiveBackend {
         question: Question,
         token: &CancellationToken,
     ) -> Result<Answer, WorkError> {
-        self.worker.answer(volume, shown, question, token).await
+        self.perform(volume, |worker| async move {
+            worker.answer(volume, shown, question, token).await
+        })
+        .await
     }
 }
 

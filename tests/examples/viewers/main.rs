@@ -1,14 +1,16 @@
 //! Many viewers of one server: how long the first picture of an edit takes, what memory they cost, whether that grows, and what one client that
 //! misbehaves costs the others.
 //!
-//!     cargo run --release --package isopeel-tests --example viewers -- SERVER [--viewers 1000] [--seconds 60] [--churn | --beside]
+//!     cargo run --release --package isopeel-tests --example viewers -- SERVER [--viewers 1000] [--seconds 60] [--churn | --beside | --device 0 --device 1]
 //!
 //! Starts the binary SERVER with its demo. First one viewer alone edits, one edit after the other is done; then sixteen do, each as fast as it can:
 //! the capacity. Then all viewers are connected, and edit at half of that together, each its own isovalues, at times that do not wait for answers: an
 //! edit's time counts from when it was due. With `--churn` each leaves after four edits and another one comes. With `--beside` the same viewers edit
-//! alone and beside each client of `beside`, in turns.
+//! alone and beside each client of `beside`, in turns. With `--device`, given several times, each viewer opens a volume of its own and edits as fast as
+//! it can: first with the first of these devices, then with all of them.
 
 mod beside;
+mod own;
 mod seen;
 mod server;
 mod viewer;
@@ -55,6 +57,12 @@ struct Options {
     /// They edit alone and beside each of these clients, in turns
     #[arg(long, value_enum, num_args = 0.., value_delimiter = ',', default_missing_value = "stalled,opens,edits,malformed,pings,pieces,garbage", conflicts_with = "churn")]
     beside: Option<Vec<Beside>>,
+    /// Each viewer has a volume of its own; the server has the first of these devices, then all of them
+    #[arg(long, conflicts_with_all = ["churn", "beside"])]
+    device: Vec<String>,
+    /// Samples along each axis of these volumes, of 8 bits
+    #[arg(long, default_value_t = 256)]
+    side: u16,
     /// How often, with `--beside`
     #[arg(long, default_value_t = 4)]
     rounds: u32,
@@ -130,6 +138,9 @@ async fn arrive(server: &Server, seen: &Arc<Seen>, count: usize) -> Result<Vec<V
 async fn main() -> Result<(), Error> {
     let options = Options::parse();
     rlimit::increase_nofile_limit(u64::MAX)?;
+    if !options.device.is_empty() {
+        return own::measure(&options).await;
+    }
     let server = Server::start(&options.server).await?;
     let megabytes = |bytes: u64| bytes / 1_000_000;
     let median = alone(&server, 10).await?;

@@ -66,6 +66,11 @@ pub struct Viewer {
 impl Viewer {
     /// Connects, opens the demo and waits for its surface.
     pub async fn open(address: &str, seen: &Arc<Seen>) -> Result<Self, Error> {
+        Self::open_volume(address, VOLUME, seen).await
+    }
+
+    /// As [`Viewer::open`], for a volume that has surfaces at the same isovalues.
+    pub async fn open_volume(address: &str, volume: &str, seen: &Arc<Seen>) -> Result<Self, Error> {
         let mut viewer = Self {
             connection: connect(address).await?,
             seen: Arc::clone(seen),
@@ -74,7 +79,7 @@ impl Viewer {
             due: None,
             is_waiting: false,
         };
-        let open = json!({"type": "open", "volume": VOLUME});
+        let open = json!({"type": "open", "volume": volume});
         viewer.connection.send(&open).await?;
         viewer.until(|news| matches!(news, News::Opened)).await?;
         // As it opens.

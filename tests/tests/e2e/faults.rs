@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
-use crate::metrics::metrics_of;
+use crate::metrics::{counted, metrics_of};
 use crate::support::process::{self, Process};
 use crate::support::viewer::{Frame, Viewer};
 use crate::support::{ball, demo, http, server};
@@ -94,11 +94,7 @@ impl Faulty {
 
     /// How often the device was lost.
     fn losses(&self) -> u64 {
-        let text = metrics_of(self.address());
-        let line = text
-            .lines()
-            .find_map(|line| line.strip_prefix("isopeel_device_lost_total "));
-        line.map_or(0, |count| count.parse().expect("a number"))
+        counted(&metrics_of(self.address()), "isopeel_device_lost_total", "") as u64
     }
 
     /// Waits until the device is ready; returns how long that took.

@@ -31,6 +31,7 @@ mod metrics;
 mod mutated;
 mod overview;
 mod parts;
+mod pool;
 mod questions;
 mod rest;
 mod shared;

@@ -16,15 +16,20 @@ use crate::support::{ball, http, process};
 const VIEWERS: usize = 8;
 
 /// A viewer's final chunks by region, and the time until `done`.
-struct Shown {
-    chunks: BTreeMap<[u8; 14], Vec<u8>>,
+pub struct Shown {
+    pub chunks: BTreeMap<[u8; 14], Vec<u8>>,
     done: Duration,
 }
 
 /// Opens a volume and reads its first surface, up to the measured error.
 async fn look(address: SocketAddr) -> Shown {
+    look_at(address, "ball").await
+}
+
+/// As [`look`], for a volume.
+pub async fn look_at(address: SocketAddr, volume: &str) -> Shown {
     let mut connection = connect(address).await;
-    let messages = [json!({"type": "open", "volume": "ball"}), json!({"type": "edit"})];
+    let messages = [json!({"type": "open", "volume": volume}), json!({"type": "edit"})];
     connection.send_all(messages).await.expect("it is sent");
     let start = Instant::now();
     let (mut chunks, mut done) = (BTreeMap::new(), Duration::ZERO);

@@ -45,7 +45,7 @@ pub(super) fn run(args: &Args, file: &Path) -> Result<(), BatchError> {
         let unlimited = Limits {
             quota_bytes: i64::MAX as u64,
         };
-        let jobs = Jobs::open(folder, unlimited, catalog.into(), worker.clone(), stop.clone()).await?;
+        let jobs = Jobs::open(folder, unlimited, catalog.into(), worker.clone().into(), stop.clone()).await?;
         let runner = tokio::spawn(jobs.clone().run());
         let outcome = tokio::select! {
             outcome = run_job(&jobs, request, &args.output) => outcome,

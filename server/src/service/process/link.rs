@@ -121,6 +121,11 @@ impl Link {
         }
     }
 
+    /// Returns the id of the process; `None` while there is none.
+    pub(in crate::service) fn process(&self) -> Option<u32> {
+        lock(&self.shared.child).as_ref().map(|child| child.id())
+    }
+
     /// Sends a job. Returns false if no process will run it.
     pub(in crate::service) fn send(&self, job: DeviceJob) -> bool {
         let id = self.next_id.fetch_add(1, Ordering::Relaxed);

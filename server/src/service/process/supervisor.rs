@@ -16,11 +16,14 @@ use super::link::{Command, Connection, Link, Open, Sending, Shared};
 use super::meshes;
 use super::messages::{Event, FromDevice, JobId, Start, ToDevice};
 use super::monitor;
-use crate::metrics;
+use crate::metrics::{self, DeviceNumber};
 use crate::service::device_thread::{self, Choice, DeviceOptions, DeviceState, Parts, Preparation};
 
 /// Numbers of engines and cuts that a process may use.
 const NUMBERS_A_PROCESS: u64 = 1 << 32;
+
+/// Numbers of engines and cuts that all processes of a device may use. Caches of the server have these numbers as keys.
+const NUMBERS_A_DEVICE: u64 = 1 << 48;
 
 /// Time before the second attempt to start a process again; doubled for each further one.
 const FIRST_DELAY: Duration = Duration::from_millis(250);
@@ -122,7 +125,8 @@ impl Supervisor {
             return;
         };
         self.follow_check(&choice);
-        let (mut last_number, mut failures, mut has_been_ready, mut has_retried) = (0, 0, false, false);
+        let mut last_number = self.parts.number.index() as u64 * NUMBERS_A_DEVICE;
+        let (mut failures, mut has_been_ready, mut has_retried) = (0, false, false);
         let mut is_confined = confine::landlock_version() > 0;
         if !is_confined {
             tracing::info!(
@@ -141,8 +145,13 @@ impl Supervisor {
             failures = if done.has_worked { 0 } else { failures + 1 };
             match outcome {
                 Outcome::Ended(ended) if has_been_ready => {
-                    tracing::error!("the process of the device has ended, and is replaced: {}", ended.how);
-                    metrics::device_process_ended(ended.reason);
+                    let device = self.parts.number.index();
+                    tracing::error!(
+                        device,
+                        "the process of the device has ended, and is replaced: {}",
+                        ended.how
+                    );
+                    metrics::device_process_ended(self.parts.number, ended.reason);
                     self.wait_after(failures);
                 }
                 Outcome::Ended(ended) if is_confined && !ended.is_caused_by_request && !has_retried => {
@@ -215,7 +224,7 @@ impl Supervisor {
         drop(counted);
         match silence {
             Silence::Gone if self.shared.is_stopping() => {}
-            Silence::Gone => metrics::device_lost(),
+            Silence::Gone => metrics::device_lost(self.parts.number),
             Silence::NeedsNewProcess | Silence::Failed(_) => _ = child.kill_for(Killed::Replaced),
         }
         let ended = child.end();
@@ -276,7 +285,7 @@ impl Supervisor {
                 }
                 FromDevice::Dropped(id) => lock(&self.shared.table).remove(id),
                 FromDevice::Memory(used) => _ = self.parts.memory.send_replace(used),
-                FromDevice::Observed(event) => observe(event),
+                FromDevice::Observed(event) => observe(self.parts.number, event),
             }
         }
     }
@@ -331,10 +340,10 @@ fn start_message(choice: &Choice, options: &DeviceOptions, is_later: bool, last_
 }
 
 /// Forwards an event of the workspace to the metrics.
-fn observe(event: Event) {
+fn observe(device: DeviceNumber, event: Event) {
     match event {
-        Event::LookedUp { cache, is_hit } => metrics::looked_up(cache, is_hit),
-        Event::Stage { stage, milliseconds } => metrics::stage(stage, milliseconds),
-        Event::DeviceLost => metrics::device_lost(),
+        Event::LookedUp { cache, is_hit } => metrics::looked_up(device, cache, is_hit),
+        Event::Stage { stage, milliseconds } => metrics::stage(device, stage, milliseconds),
+        Event::DeviceLost => metrics::device_lost(device),
     }
 }

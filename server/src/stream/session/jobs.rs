@@ -407,7 +407,11 @@ impl<B: Backend> Session<B> {
     fn begin_generations(&mut self) -> bool {
         let camera = self.camera_in_force();
         let Some(opened) = &mut self.opened else { return false };
-        let (engine, volume) = (self.backend.engine(), opened.volume.clone());
+        let volume = opened.volume.clone();
+        let engine = self.backend.engine(&volume);
+        if opened.engine != engine {
+            opened.change_engine(engine, self.backend.mark_open(&volume), self.backend.device(&volume));
+        }
         let mut has_begun = false;
         for (number, surface) in opened.surfaces_mut() {
             if surface.edit_pending && surface.generation().is_none() {

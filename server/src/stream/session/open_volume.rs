@@ -1,7 +1,8 @@
 //! The open volume and its surfaces.
 
 use isopeel_codec::chunk::MAX_SURFACES;
-use isopeel_extraction::OpenStepGuard;
+use isopeel_extraction::{EngineId, OpenStepGuard};
+use isopeel_kernels::{DeviceInfo, DeviceKind};
 use isopeel_view::View;
 use isopeel_volumes::{Lease, VolumeStep};
 use tokio::sync::watch;
@@ -25,6 +26,8 @@ pub(super) struct OpenVolume {
     pub phase: OpeningPhase,
     /// Progress of the opening, until the volume is open.
     pub progress: Option<watch::Receiver<OpeningProgress>>,
+    /// The engine for which the last generation was begun.
+    pub engine: EngineId,
     /// Name of the device; empty until the volume is open.
     pub device: String,
     /// Whether the device is this machine's processors, which the pool needs too.
@@ -108,6 +111,7 @@ impl OpenVolume {
             opening_view: view,
             phase: OpeningPhase::Waiting,
             progress: None,
+            engine: EngineId::default(),
             device: String::new(),
             shares_processors: false,
             surfaces,
@@ -134,6 +138,15 @@ impl OpenVolume {
         for number in 0..MAX_SURFACES {
             self.fill_from_opening_view(number, &unresolved);
             self.hold_back_early_edit(number, edits);
+        }
+    }
+
+    /// Records that another engine makes the surfaces from now on: the device was opened again, or `device` has taken the volume over.
+    pub(super) fn change_engine(&mut self, engine: EngineId, step_guard: OpenStepGuard, device: Option<DeviceInfo>) {
+        (self.engine, self.step_guard) = (engine, step_guard);
+        if let Some(device) = device {
+            self.shares_processors = device.kind == DeviceKind::Cpu;
+            self.device = device.name;
         }
     }
 

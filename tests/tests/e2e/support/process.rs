@@ -114,6 +114,11 @@ fn spawn(mut command: Command, paths: &[PathBuf], options: &[&str], log: Stdio) 
 }
 
 impl Process {
+    /// Process id of the server.
+    pub fn id(&self) -> u32 {
+        self.child.id()
+    }
+
     /// Process id of the process of its device; `None` while there is none.
     pub fn device_process(&self) -> Option<u32> {
         let parent = self.child.id().to_string();
