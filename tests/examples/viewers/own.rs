@@ -50,8 +50,12 @@ async fn edits_a_second(
     let server = Server::start_with(&options.server, &arguments).await?;
     server.ready().await?;
     let opening = Seen::new()?;
-    let open = |volume| Viewer::open_volume(&server.address, volume, &opening);
-    let arrivals = futures_util::stream::iter(volumes).map(open).buffered(ARRIVALS);
+    let open = |volume: String| {
+        let (address, opening) = (&server.address, &opening);
+        async move { Viewer::open_volume(address, &volume, opening).await }
+    };
+    let arrivals = futures_util::stream::iter(volumes.to_vec()).map(open);
+    let arrivals = arrivals.buffered(ARRIVALS);
     let viewers: Vec<_> = arrivals.try_collect().await?;
     let seen = Seen::new()?;
     let start = Instant::now();
