@@ -86,6 +86,15 @@ pub enum WorkError {
         /// Maximum bytes.
         limit_bytes: u64,
     },
+    /// The request or its result is larger than what the server and the process of its device can exchange.
+    #[error(
+        "the work needs more memory than the {limit_bytes} bytes that the server shares with the process of its device: the limits \
+         `ulimit -f` and `ulimit -v` of the server are too low"
+    )]
+    TooLargeToShare {
+        /// Maximum bytes.
+        limit_bytes: u64,
+    },
     /// The surface would be above the server's limit.
     #[error(
         "the surface would have {triangles} triangles, the limit is {ceiling}: ask for a budget of triangles, such as {ceiling}"
@@ -190,6 +199,7 @@ impl WorkError {
             Self::TooManyTriangles { .. }
             | Self::TooLarge { .. }
             | Self::TooLargeForHost { .. }
+            | Self::TooLargeToShare { .. }
             | Self::NoTree(_)
             | Self::NotKept
             | Self::TookTooLong { .. }
@@ -221,6 +231,7 @@ impl WorkError {
                 | Self::Unreadable(_)
                 | Self::TooLarge { .. }
                 | Self::TooLargeForHost { .. }
+                | Self::TooLargeToShare { .. }
                 | Self::TookTooLong { .. }
                 | Self::UserTime { .. }
                 | Self::NoTree(_)

@@ -24,4 +24,4 @@ pub use listing::{Listed, Unlisted, list};
 pub use prepare::{Checked, DeviceFailure, DeviceRequirements, PendingCheck, Prepared, Unprepared, check_all, prepare};
 pub use proven::{CheckState, Proven};
 pub use run::Ended;
-pub(crate) use run::{describe, end_with_parent, program, was_killed};
+pub(crate) use run::{describe, end_with_parent, not_started, program, was_killed};

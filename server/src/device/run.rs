@@ -111,7 +111,7 @@ impl Running {
             // A separate group does not receive Ctrl-C at the terminal. Otherwise the parent would see its end as a crash of the driver.
             .process_group(0);
         end_with_parent(&mut command);
-        let mut child = command.spawn().map_err(failed)?;
+        let mut child = command.spawn().map_err(|error| failed(not_started(error)))?;
         let lines = read_lines(child.stdout.take());
         let error_tail = read_tail(child.stderr.take());
         Ok(Self {
@@ -228,6 +228,12 @@ pub(crate) fn program() -> std::io::Result<std::path::PathBuf> {
     return Ok("/proc/self/exe".into());
     #[cfg(not(target_os = "linux"))]
     std::env::current_exe()
+}
+
+/// Adds the path of [`program`] to the error with which it was not started: without `/proc`, the path is not there.
+pub(crate) fn not_started(error: std::io::Error) -> std::io::Error {
+    let path = program().unwrap_or_default();
+    std::io::Error::new(error.kind(), format!("{}: {error}", path.display()))
 }
 
 /// Makes the kernel kill the child when the thread that started the child ends.

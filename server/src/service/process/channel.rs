@@ -11,6 +11,7 @@ use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use bytes::Bytes;
+use isopeel_extraction::WorkError;
 use postcard::ser_flavors::Flavor;
 use rayon::prelude::*;
 use serde::Serialize;
@@ -57,6 +58,18 @@ pub(super) enum SendError {
     Gone(#[from] io::Error),
 }
 
+impl SendError {
+    /// Returns the error of the job whose message was not sent.
+    pub(super) fn of_job(&self, slot_bytes: usize) -> WorkError {
+        match self {
+            Self::Message(postcard::Error::SerializeBufferFull) => WorkError::TooLargeToShare {
+                limit_bytes: slot_bytes as u64,
+            },
+            _ => WorkError::Stopped,
+        }
+    }
+}
+
 impl Sender {
     pub(super) fn new(socket: UnixStream, memory: Arc<SharedMemory>, end: End) -> Self {
         Self {
@@ -65,6 +78,11 @@ impl Sender {
             end,
             inline: Vec::with_capacity(INLINE_BYTES),
         }
+    }
+
+    /// Maximum bytes of a message.
+    pub(super) fn slot_bytes(&self) -> usize {
+        self.memory.slot_bytes
     }
 
     /// Sends a message. Waits while all slots of shared memory are in use.

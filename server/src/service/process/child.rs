@@ -3,8 +3,8 @@
 use std::io;
 use std::os::fd::{AsRawFd, OwnedFd};
 use std::os::unix::net::UnixStream;
-use std::os::unix::process::CommandExt;
-use std::process::Command;
+use std::os::unix::process::{CommandExt, ExitStatusExt};
+use std::process::{Command, ExitStatus};
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
@@ -14,7 +14,7 @@ use isopeel_extraction::lock;
 use super::channel::{Receiver, Sender};
 use super::confine::Confinement;
 use super::shared_memory::{Beat, End, SharedMemory};
-use crate::device::{describe, end_with_parent, program, was_killed};
+use crate::device::{describe, end_with_parent, not_started, program, was_killed};
 
 /// Why the server has killed the process.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -114,7 +114,7 @@ impl Child {
         let memory = Arc::new(memory);
         let sender = Sender::new(socket.try_clone()?, Arc::clone(&memory), End::Server);
         let receiver = Receiver::new(socket, Arc::clone(&memory), End::Server);
-        let process = command.spawn()?;
+        let process = command.spawn().map_err(not_started)?;
         drop::<(UnixStream, OwnedFd, Option<OwnedFd>)>((inherited, file, rules));
         let child = Self {
             process: Mutex::new(process),
@@ -175,9 +175,23 @@ impl Child {
                 let how = format!("another process has killed it ({})", describe(status));
                 ended(&how, "killed", false)
             }
-            (None, Ok(status)) => ended(&describe(status), "crashed", true),
+            (None, Ok(status)) => ended(&describe(status), "crashed", is_fault(status)),
         }
     }
+}
+
+/// Whether a process has ended by a fault of its own, not by a signal that others send.
+fn is_fault(status: ExitStatus) -> bool {
+    let faults = [
+        libc::SIGABRT,
+        libc::SIGBUS,
+        libc::SIGFPE,
+        libc::SIGILL,
+        libc::SIGSEGV,
+        libc::SIGSYS,
+        libc::SIGTRAP,
+    ];
+    status.signal().is_none_or(|signal| faults.contains(&signal))
 }
 
 impl Drop for Child {
@@ -189,7 +203,7 @@ impl Drop for Child {
 }
 
 /// Waits for a process for a moment, and kills it if it has not ended then.
-fn wait_or_kill(process: &mut std::process::Child) -> io::Result<std::process::ExitStatus> {
+fn wait_or_kill(process: &mut std::process::Child) -> io::Result<ExitStatus> {
     for _ in 0..100 {
         if let Some(status) = process.try_wait()? {
             return Ok(status);

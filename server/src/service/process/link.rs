@@ -4,7 +4,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc;
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 
-use isopeel_extraction::{HistogramKey, OpenSteps, Pins, WorkError, lock};
+use isopeel_extraction::{HistogramKey, OpenSteps, Pins, lock};
 use isopeel_kernels::Histogram;
 use tokio::runtime::Handle;
 use tokio_util::sync::{CancellationToken, DropGuard};
@@ -222,8 +222,8 @@ impl Sending {
         };
         let sent = open.sender.send(&message);
         let mut table = lock(&self.shared.table);
-        if let Err(SendError::Message(_)) = &sent {
-            table.end(id, Err(WorkError::Stopped.into()));
+        if let Err(error @ SendError::Message(_)) = &sent {
+            table.end(id, Err(error.of_job(open.sender.slot_bytes()).into()));
         }
         report(sent);
         if let ToDevice::Job { request, .. } = message {

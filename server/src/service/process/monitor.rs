@@ -62,8 +62,15 @@ pub(super) fn run(shared: &Shared, memory: &watch::Receiver<WorkspaceMemory>) {
         } else {
             command_limit(memory.borrow().volumes)
         };
-        let is_running = beat.commands.is_none() || lock(&shared.table).is_running();
-        let silent_or_stuck = signs.look(Instant::now(), beats, beat.commands, is_running, limit);
+        let look = Look {
+            now: Instant::now(),
+            beats,
+            commands: beat.commands,
+            is_running: beat.commands.is_none() || lock(&shared.table).is_running(),
+            processor_time: processor_time(child.id()),
+            command_limit: limit,
+        };
+        let silent_or_stuck = signs.look(&look, || runnable_threads(child.id()));
         if let Some(why) = silent_or_stuck.or_else(|| takes_too_much(&child).then_some(Killed::Memory))
             && child.kill_for(why)
         {
@@ -82,11 +89,51 @@ fn takes_too_much(child: &Child) -> bool {
     host_memory_limit().is_some_and(|limit| private_bytes(child.id()) > limit / 100 * (100 + EXCESS_PERCENT))
 }
 
+/// Returns the time for which processors have run a process, in all of its threads; 0 if the system does not say.
+fn processor_time(process: u32) -> Duration {
+    let (mut clock, mut time) = (0, libc::timespec { tv_sec: 0, tv_nsec: 0 });
+    // SAFETY: both calls write to variables of this function.
+    let failed = unsafe {
+        libc::clock_getcpuclockid(process as libc::pid_t, &mut clock) != 0 || libc::clock_gettime(clock, &mut time) != 0
+    };
+    if failed {
+        return Duration::ZERO;
+    }
+    Duration::new(time.tv_sec as u64, time.tv_nsec as u32)
+}
+
+/// Returns the number of threads of a process that run or wait for a processor; 0 if the system does not say.
+fn runnable_threads(process: u32) -> usize {
+    let threads = std::fs::read_dir(format!("/proc/{process}/task"));
+    let states = threads.into_iter().flatten().flatten().filter_map(|thread| {
+        let text = std::fs::read_to_string(thread.path().join("stat")).ok()?;
+        // The name before the state may have any character.
+        text.rsplit_once(") ")?.1.chars().next()
+    });
+    states.filter(|&state| state == 'R').count()
+}
+
+/// What a look at a process finds.
+struct Look {
+    now: Instant,
+    /// Number of signs of life.
+    beats: u64,
+    /// Number of executed commands; `None` while the device is not open.
+    commands: Option<u64>,
+    /// Whether a job is running.
+    is_running: bool,
+    /// As [`processor_time`].
+    processor_time: Duration,
+    /// Maximum time of a command now.
+    command_limit: Duration,
+}
+
 /// What was seen of a process.
 #[derive(Default)]
 struct Watched {
     beats: u64,
     commands: Option<u64>,
+    processor_time: Duration,
     last_look: Option<Instant>,
     /// Time without a sign of life.
     silent: Duration,
@@ -95,38 +142,46 @@ struct Watched {
 }
 
 impl Watched {
-    /// Looks at the numbers of signs of life and of executed commands; returns why the process must be killed, if it must.
-    /// `command_limit`: maximum time of a command now.
-    fn look(
-        &mut self,
-        now: Instant,
-        beats: u64,
-        commands: Option<u64>,
-        is_running: bool,
-        command_limit: Duration,
-    ) -> Option<Killed> {
-        let since_last = self.last_look.replace(now).map_or(Duration::ZERO, |last| now - last);
-        if since_last > LATE_LOOK {
-            return None;
-        }
-        let has_spoken = std::mem::replace(&mut self.beats, beats) != beats;
-        let has_worked = std::mem::replace(&mut self.commands, commands) != commands;
+    /// Returns why the process must be killed, if it must. Time in which a thread waited for a processor does not count, because others may
+    /// use the processors, or a control group may limit them.
+    fn look(&mut self, look: &Look, runnable_threads: impl FnOnce() -> usize) -> Option<Killed> {
+        let since_last = self
+            .last_look
+            .replace(look.now)
+            .map_or(Duration::ZERO, |last| look.now - last);
+        let ran = look
+            .processor_time
+            .saturating_sub(std::mem::replace(&mut self.processor_time, look.processor_time));
+        let has_spoken = std::mem::replace(&mut self.beats, look.beats) != look.beats;
+        let has_worked = std::mem::replace(&mut self.commands, look.commands) != look.commands || !look.is_running;
+        let counted = match has_spoken && has_worked || since_last > LATE_LOOK {
+            true => Duration::ZERO,
+            false => available_time(since_last, ran, runnable_threads()),
+        };
         self.silent = if has_spoken {
             Duration::ZERO
         } else {
-            self.silent + since_last
+            self.silent + counted
         };
-        self.stuck = if has_worked || !is_running {
+        self.stuck = if has_worked {
             Duration::ZERO
         } else {
-            self.stuck + since_last
+            self.stuck + counted
         };
-        let silence_limit = if beats == 0 { START_LIMIT } else { SILENCE_LIMIT };
+        let silence_limit = if look.beats == 0 { START_LIMIT } else { SILENCE_LIMIT };
         if self.silent > silence_limit {
             Some(Killed::Silent)
         } else {
-            (self.stuck > command_limit).then_some(Killed::Stuck)
+            (self.stuck > look.command_limit).then_some(Killed::Stuck)
         }
+    }
+}
+
+/// Returns the time that a process had since the last look: all of it if no thread wants to run, else what each of these threads ran.
+fn available_time(since_last: Duration, ran: Duration, runnable_threads: usize) -> Duration {
+    match u32::try_from(runnable_threads) {
+        Ok(threads @ 1..) => since_last.min(ran / threads),
+        _ => since_last,
     }
 }
 
@@ -136,12 +191,28 @@ mod tests {
 
     /// Looks every 100 ms for so long; `signs` returns signs of life and commands at a time in milliseconds, and whether a job is running.
     fn watch(milliseconds: u64, signs: impl Fn(u64) -> (u64, u64, bool)) -> Option<(u64, Killed)> {
+        watch_threads(milliseconds, 0, 0, signs)
+    }
+
+    /// As [`watch`], with so many threads that want to run, and the percentage of the time that they run together.
+    fn watch_threads(
+        milliseconds: u64,
+        threads: usize,
+        percent: u64,
+        signs: impl Fn(u64) -> (u64, u64, bool),
+    ) -> Option<(u64, Killed)> {
         let (start, mut watched) = (Instant::now(), Watched::default());
         (0..=milliseconds).step_by(100).find_map(|time| {
             let (beats, commands, is_running) = signs(time);
-            let now = start + Duration::from_millis(time);
-            let killed = watched.look(now, beats, Some(commands), is_running, command_limit(50_000_000));
-            killed.map(|why| (time, why))
+            let look = Look {
+                now: start + Duration::from_millis(time),
+                beats,
+                commands: Some(commands),
+                is_running,
+                processor_time: Duration::from_micros(time * percent * 10),
+                command_limit: command_limit(50_000_000),
+            };
+            watched.look(&look, || threads).map(|why| (time, why))
         })
     }
 
@@ -170,11 +241,46 @@ mod tests {
     }
 
     #[test]
+    fn time_in_which_the_process_waits_for_a_processor_does_not_count() {
+        let stuck = |time| (1 + time / 200, 7, true);
+        assert_eq!(
+            watch_threads(60_000, 2, 200, stuck),
+            Some((3_100, Killed::Stuck)),
+            "both run"
+        );
+        assert_eq!(
+            watch_threads(60_000, 2, 50, stuck),
+            Some((12_100, Killed::Stuck)),
+            "a quarter of the time"
+        );
+        assert_eq!(watch_threads(60_000, 1, 0, |_| (1, 7, true)), None, "never");
+    }
+
+    #[test]
     fn time_in_which_the_server_did_not_run_does_not_count() {
         let (start, mut watched) = (Instant::now(), Watched::default());
         for minutes in 0..10 {
-            let now = start + Duration::from_secs(60 * minutes);
-            assert_eq!(watched.look(now, 1, Some(1), true, Duration::from_secs(2)), None);
+            let look = Look {
+                now: start + Duration::from_secs(60 * minutes),
+                beats: 1,
+                commands: Some(1),
+                is_running: true,
+                processor_time: Duration::ZERO,
+                command_limit: Duration::from_secs(2),
+            };
+            assert_eq!(watched.look(&look, || 0), None);
         }
+    }
+
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn the_system_says_how_long_a_process_ran_and_how_many_threads_want_to() {
+        let begun = Instant::now();
+        let before = processor_time(std::process::id());
+        while processor_time(std::process::id()) < before + Duration::from_millis(20) {
+            assert!(begun.elapsed() < Duration::from_secs(60));
+            assert!(runnable_threads(std::process::id()) >= 1, "this one");
+        }
+        assert_eq!(runnable_threads(u32::MAX), 0);
     }
 }

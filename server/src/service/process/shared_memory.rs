@@ -20,6 +20,9 @@ const RESIDENT_SHARE: u64 = 512;
 /// slots are smaller.
 const SLOT_BYTES: usize = 8 << 30;
 
+/// All slots together take one in this many bytes of the address space at most, if that is limited.
+const ADDRESS_SPACE_SHARE: u64 = 8;
+
 /// Minimum size of a slot.
 const MIN_SLOT_BYTES: usize = 8 << 20;
 
@@ -69,11 +72,14 @@ impl SharedMemory {
     /// The system refuses even small slots.
     pub(super) fn create() -> io::Result<(Self, OwnedFd)> {
         let file = rustix::fs::memfd_create("isopeel-device", MemfdFlags::CLOEXEC | MemfdFlags::ALLOW_SEALING)?;
-        let (limit, _) = rlimit::Resource::FSIZE.get()?;
+        let (file_limit, _) = rlimit::Resource::FSIZE.get()?;
+        // Drivers need most of a limited address space.
+        let (space_limit, _) = rlimit::Resource::AS.get()?;
+        let limit = file_limit.min(space_limit / ADDRESS_SPACE_SHARE);
         let mut slot_bytes = SLOT_BYTES;
         loop {
             let bytes = FLAG_BYTES + 2 * SLOTS * slot_bytes;
-            // A file beyond the limit of the process would end the process.
+            // A file beyond its limit would end the process.
             let mapped = if bytes as u64 <= limit {
                 rustix::fs::ftruncate(&file, bytes as u64)?;
                 Self::map(&file)
@@ -103,6 +109,9 @@ impl SharedMemory {
             return Err(io::Error::other("the shared memory is too small"));
         }
         let map = MmapOptions::new().len(bytes).no_reserve_swap().map_raw(file)?;
+        // Writing a core would allocate all of its pages. An error is ignored: nothing depends on it.
+        #[cfg(target_os = "linux")]
+        let _ = map.advise(memmap2::Advice::DontDump);
         Ok(Self { map, slot_bytes })
     }
 

@@ -9,8 +9,8 @@ use std::sync::{Arc, Mutex, OnceLock};
 use std::time::Duration;
 
 use isopeel_extraction::{
-    CountedProcess, DeviceReply, HistogramCache, JobError, Observer, OpenSteps, Pins, UserTimes, WorkError,
-    count_further_bytes, limit_host_memory, lock, number_from,
+    CountedProcess, DeviceReply, HistogramCache, JobError, Observer, OpenSteps, Pins, UserTimes, count_further_bytes,
+    limit_host_memory, lock, number_from,
 };
 use isopeel_kernels::Region;
 use tokio::sync::mpsc;
@@ -48,6 +48,7 @@ pub fn run(socket: RawFd, memory: RawFd) -> Result<(), BoxError> {
         Arc::new(mapped)
     };
     end_with_server_alone();
+    write_no_core();
     let mut receiver = Receiver::new(socket.try_clone()?, Arc::clone(&memory), End::Device);
     let ToDevice::Start(start) = receiver.receive()? else {
         return Err("the server did not begin with its options".into());
@@ -75,6 +76,13 @@ fn end_with_server_alone() {
     }
 }
 
+/// Prevents that the system writes the memory of this process to a file or to another program if it crashes: that takes seconds, in which
+/// the server would take the process for a silent one, and the memory has the samples of users' volumes.
+fn write_no_core() {
+    // Of 1 byte, because a limit of 0 does not hold for a core that goes to a program. An error is ignored: cores only take time.
+    let _ = rlimit::Resource::CORE.set(1, 1);
+}
+
 /// Messages that a thread sends to the server, in order. Clones share it.
 #[derive(Clone)]
 struct Outbox(sync_mpsc::Sender<(FromDevice, Vec<Region>)>);
@@ -87,7 +95,7 @@ impl Outbox {
             for (message, regions) in messages {
                 match sender.send_with(&message, &meshes::arrays(&regions)) {
                     Ok(()) => {}
-                    Err(SendError::Message(error)) => send_failure(&mut sender, message, &error),
+                    Err(error @ SendError::Message(_)) => send_failure(&mut sender, message, &error),
                     // The receiving thread ends the process.
                     Err(SendError::Gone(_)) => return,
                 }
@@ -115,10 +123,10 @@ impl Outbox {
 }
 
 /// Sends an error in place of an outcome that is too large for shared memory.
-fn send_failure(sender: &mut Sender, message: FromDevice, error: &postcard::Error) {
+fn send_failure(sender: &mut Sender, message: FromDevice, error: &SendError) {
     tracing::error!(error = chain(error), "a message cannot be sent to the server");
     if let FromDevice::Ended { id, .. } = message {
-        let outcome = Box::new(Err(WorkError::Stopped.into()));
+        let outcome = Box::new(Err(error.of_job(sender.slot_bytes()).into()));
         // If this fails too, the server is gone.
         let _ = sender.send(&FromDevice::Ended {
             id,

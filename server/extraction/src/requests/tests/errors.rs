@@ -75,6 +75,7 @@ fn work_errors() -> Vec<WorkError> {
             needed_bytes,
             limit_bytes,
         },
+        WorkError::TooLargeToShare { limit_bytes },
         WorkError::TooManyTriangles {
             triangles: 2,
             ceiling: 1,
@@ -134,6 +135,7 @@ fn position(error: &WorkError) -> usize {
         WorkError::Cancelled => 18,
         WorkError::Stopped => 19,
         WorkError::EndsProcess { .. } => 20,
+        WorkError::TooLargeToShare { .. } => 21,
     }
 }
 
@@ -156,7 +158,7 @@ fn errors_of_work_are_the_same_in_another_process() {
     let mut positions: Vec<_> = errors.iter().map(position).collect();
     positions.sort_unstable();
     positions.dedup();
-    assert_eq!(positions, (0..21).collect::<Vec<_>>());
+    assert_eq!(positions, (0..22).collect::<Vec<_>>());
     for error in errors {
         let after = sent(&error);
         assert_eq!(discriminant(&error), discriminant(&after), "{error}");
