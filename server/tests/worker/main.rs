@@ -2,6 +2,7 @@
 
 mod computed;
 mod distances;
+mod pool;
 mod slices;
 mod torn;
 mod tree_steps;

@@ -135,11 +135,14 @@ impl Supervisor {
         }
         while !self.shared.is_stopping() {
             let start = start_message(&choice, &options, has_been_ready, last_number);
-            last_number += NUMBERS_A_PROCESS;
             let confinement = is_confined.then(|| Confinement::hiding(&options.hidden));
             let (outcome, done) = self.run_process(start, &options.arguments, confinement.as_ref());
             if self.shared.is_stopping() {
                 return;
+            }
+            // Before it is ready, the server knows none of its numbers.
+            if done.was_ready {
+                last_number += NUMBERS_A_PROCESS;
             }
             has_been_ready |= done.was_ready;
             failures = if done.has_worked { 0 } else { failures + 1 };
