@@ -324,7 +324,11 @@ mod tests {
     /// A channel in this process: the ends of the server, and those of the device.
     fn channel() -> ((Sender, Receiver), (Sender, Receiver)) {
         let (memory, file) = SharedMemory::create().expect("memory");
-        let mapped = SharedMemory::map(&file).expect("the same memory");
+        channel_through(memory, SharedMemory::map(&file).expect("the same memory"))
+    }
+
+    /// A channel through memory that is mapped twice.
+    fn channel_through(memory: SharedMemory, mapped: SharedMemory) -> ((Sender, Receiver), (Sender, Receiver)) {
         let (one, other) = UnixStream::pair().expect("sockets");
         let ends = |socket: UnixStream, memory: SharedMemory, end| {
             let (memory, copy) = (Arc::new(memory), socket.try_clone().expect("a socket"));
@@ -384,6 +388,31 @@ mod tests {
                 assert!(bytes[begin..begin + array.len()] == array[..]);
                 begin = (begin + array.len()).next_multiple_of(ALIGNMENT);
             }
+        }
+    }
+
+    #[test]
+    fn what_is_too_large_to_share_is_an_error_with_the_limit_and_other_messages_arrive() {
+        let small = || SharedMemory::create_below(100 << 20).expect("memory");
+        let (memory, file) = small();
+        let mapped = SharedMemory::map(&file).expect("the same memory");
+        let slot_bytes = memory.slot_bytes;
+        assert!(4 * slot_bytes <= 100 << 20, "{slot_bytes}");
+        let ((mut sender, _receiver), (_sender, mut receiver)) = channel_through(memory, mapped);
+        let large = vec![1u8; slot_bytes + 1];
+        for arrays in [vec![], vec![&large[..]]] {
+            let message: &[u8] = if arrays.is_empty() { &large } else { &[] };
+            let error = sender.send_with(&message, &arrays).expect_err("too large");
+            let error = error.of_job(sender.slot_bytes());
+            assert!(
+                matches!(error, WorkError::TooLargeToShare { limit_bytes } if limit_bytes == slot_bytes as u64),
+                "{error}"
+            );
+        }
+        for number in 0..2 * SLOTS {
+            sender.send_with(&number, &[&large[..1 << 20]]).expect("sent");
+            let (received, _) = receiver.receive_with::<usize>().expect("a message");
+            assert_eq!(received, number);
         }
     }
 

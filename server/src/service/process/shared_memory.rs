@@ -71,11 +71,18 @@ impl SharedMemory {
     /// # Errors
     /// The system refuses even small slots.
     pub(super) fn create() -> io::Result<(Self, OwnedFd)> {
-        let file = rustix::fs::memfd_create("isopeel-device", MemfdFlags::CLOEXEC | MemfdFlags::ALLOW_SEALING)?;
         let (file_limit, _) = rlimit::Resource::FSIZE.get()?;
         // Drivers need most of a limited address space.
         let (space_limit, _) = rlimit::Resource::AS.get()?;
-        let limit = file_limit.min(space_limit / ADDRESS_SPACE_SHARE);
+        Self::create_below(file_limit.min(space_limit / ADDRESS_SPACE_SHARE))
+    }
+
+    /// As [`SharedMemory::create`], with at most so many bytes.
+    ///
+    /// # Errors
+    /// As [`SharedMemory::create`].
+    pub(super) fn create_below(limit: u64) -> io::Result<(Self, OwnedFd)> {
+        let file = rustix::fs::memfd_create("isopeel-device", MemfdFlags::CLOEXEC | MemfdFlags::ALLOW_SEALING)?;
         let mut slot_bytes = SLOT_BYTES;
         loop {
             let bytes = FLAG_BYTES + 2 * SLOTS * slot_bytes;

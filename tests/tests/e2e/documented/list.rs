@@ -101,6 +101,12 @@ pub const COMMANDS: &[(&str, &[(&str, How)])] = &[
         ("ISOPEEL_STATES_SECONDS=600 cargo test --locked --package isopeel-tests --test e2e -- states:: --nocapture", By("Makefile", "--test e2e -- states:: --nocapture")),
         ("ISOPEEL_STATES_FILE=failed.json cargo test --locked --package isopeel-tests --test e2e -- states:: --nocapture", By("tests/tests/e2e/states/mod.rs", "states.jsonl")),
     ]),
+    ("docs/scaling.md", &[
+        ("isopeel serve --device 0 --device 1 head.nrrd", By("tests/tests/e2e/pool.rs", "\"--device\", \"0\", \"--device\", \"0\"")),
+        ("isopeel serve --device all head.nrrd", By("tests/tests/e2e/pool.rs", "\"--device\", \"all\"")),
+        ("cargo run --release --package isopeel-tests --example viewers -- target/release/isopeel --viewers 64 --seconds 20 --device 0 --device 1",
+            Not("takes two devices")),
+    ]),
     ("docs/security.md", &[
         ("isopeel serve --listen unix:$XDG_RUNTIME_DIR/isopeel.sock head.nrrd", By("tests/tests/e2e/unix.rs", "unix:{}")),
         ("ssh -L 8417:/run/user/1000/isopeel.sock login.example", Not("takes another machine")),
