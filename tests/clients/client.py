@@ -18,7 +18,7 @@ sys.path.insert(0, folder)
 from io import BytesIO
 
 from isopeel_client.api.extract import extract, extract_by_address
-from isopeel_client.api.health import healthz, readyz, show_memory, show_metrics
+from isopeel_client.api.health import healthz, list_devices, readyz, show_memory, show_metrics
 from isopeel_client.api.jobs import cancel_job, fetch_job_result, follow_job, list_jobs, remove_job, show_job, show_job_results, submit_job
 from isopeel_client.api.session import (
     begin_session, check_session, complete_sign_in, issue_ticket, lend_embed_token, show_embed, show_oidc, sign_in, sign_out,
@@ -113,6 +113,7 @@ assert remove_job.sync_detailed(job.id, client=client).status_code == 204
 assert healthz.sync(client=stranger) and readyz.sync(client=stranger)
 assert "isopeel_" in show_metrics.sync(client=client)
 assert not isinstance(show_memory.sync(client=client), Problem)
+assert [status.device for status in list_devices.sync(client=client)] == [0]
 assert list_unreadable.sync(client=client) == []
 described = show_expression.sync(volume, client=client, expression="2 * t1")
 assert isinstance(described, FieldInfo), described

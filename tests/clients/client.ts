@@ -104,6 +104,7 @@ async function watches() {
   assert.ok(body(await stranger.GET('/healthz', { parseAs: 'text' })) && body(await stranger.GET('/readyz', { parseAs: 'text' })))
   assert.match(body(await client.GET('/metrics', { parseAs: 'text' })), /isopeel_/)
   body(await client.GET('/api/v1/memory'))
+  assert.deepEqual(body(await client.GET('/api/v1/devices')).map(({ device, state }) => [device, state]), [[0, 'ready']])
 }
 
 /** The cookies of an answer, for the next request. */

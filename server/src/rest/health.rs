@@ -103,8 +103,7 @@ pub struct DeviceStatus {
     /// Name of the device, if it is open.
     name: Option<String>,
     /// Whether the device can be used.
-    #[schema(inline)]
-    state: StateName,
+    state: DeviceReadiness,
     /// Why the device cannot be used, or how far it is from being open.
     detail: Option<String>,
     /// Id of the process that uses the device, if it is one of its own.
@@ -120,7 +119,7 @@ pub struct DeviceStatus {
 /// Whether a device can be used.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, ToSchema)]
 #[serde(rename_all = "lowercase")]
-enum StateName {
+pub enum DeviceReadiness {
     /// The device is being opened.
     Opening,
     /// The device is open.
@@ -142,10 +141,10 @@ impl DeviceStatus {
             device: device.number().index(),
             name,
             state: match state {
-                DeviceState::Opening(_) => StateName::Opening,
-                DeviceState::Ready(_) => StateName::Ready,
-                DeviceState::Lost | DeviceState::NeedsNewProcess => StateName::Lost,
-                DeviceState::Failed(_) => StateName::Failed,
+                DeviceState::Opening(_) => DeviceReadiness::Opening,
+                DeviceState::Ready(_) => DeviceReadiness::Ready,
+                DeviceState::Lost | DeviceState::NeedsNewProcess => DeviceReadiness::Lost,
+                DeviceState::Failed(_) => DeviceReadiness::Failed,
             },
             detail,
             process: device.process(),
