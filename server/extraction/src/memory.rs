@@ -99,7 +99,7 @@ pub fn counted_bytes(except: u32) -> u64 {
     ids.into_iter().filter(|&id| id != except).map(private_bytes).sum()
 }
 
-/// Sets the bytes of processes that only another process can count, which has told them.
+/// Sets the bytes of processes that only another process can count, and has reported.
 pub fn count_further_bytes(bytes: u64) {
     FURTHER_BYTES.store(bytes, Ordering::Relaxed);
 }

@@ -10,8 +10,8 @@ use std::time::Duration;
 
 use lru::LruCache;
 
-/// Maximum number of datasets that are assigned to devices. The one that was asked for least recently is forgotten first; asked for again, it is assigned
-/// anew.
+/// Maximum number of datasets that are assigned to devices. The one that was asked for least recently is forgotten first, and is assigned
+/// again when it is needed.
 const MAX_ASSIGNMENTS: NonZeroUsize = NonZeroUsize::new(4096).expect("not zero");
 
 /// Free memory is compared in this many parts of a device's memory, because the caches of a device take or free some memory with each edit.

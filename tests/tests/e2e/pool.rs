@@ -75,10 +75,10 @@ fn assigned(address: SocketAddr) -> Vec<u64> {
 }
 
 /// Process of each device.
-fn processes(address: SocketAddr) -> Vec<Option<u64>> {
+fn processes(address: SocketAddr) -> Vec<Option<u32>> {
     devices(address)
         .iter()
-        .map(|device| device["process"].as_u64())
+        .map(|device| u32::try_from(device["process"].as_u64()?).ok())
         .collect()
 }
 
@@ -87,11 +87,24 @@ fn of_device(address: SocketAddr, name: &str, device: usize) -> f64 {
     counted(&metrics_of(address), name, &format!("device=\"{device}\""))
 }
 
-fn kill(process: u64) {
-    let status = std::process::Command::new("kill")
-        .args(["-KILL", &process.to_string()])
-        .status();
-    status.expect("kill runs");
+/// Opens a viewer of each volume, and shows a surface in both; returns them with these surfaces. The volumes are on two devices then.
+async fn two_viewers(address: SocketAddr) -> [(Viewer, Value); 2] {
+    let mut first = Viewer::open(address, "ball").await;
+    let shown = first.edit(json!({"iso": 0.5})).await;
+    let mut other = Viewer::open(address, "waves").await;
+    let shown_to_other = other.edit(json!({"iso": 0.5})).await;
+    assert_eq!(assigned(address), [1, 1]);
+    [(first, shown), (other, shown_to_other)]
+}
+
+/// Asks for a volume, as new callers do, until a condition holds.
+fn ask_until(address: SocketAddr, volume: &str, holds: impl Fn() -> bool) {
+    let start = Instant::now();
+    while !holds() {
+        assert!(start.elapsed() < LIMIT, "{:?}", devices(address));
+        let answer = http::get(address, &format!("/api/v1/volumes/{volume}"));
+        assert!([200, 503].contains(&answer.status));
+    }
 }
 
 /// A surface as an export.
@@ -146,16 +159,12 @@ async fn the_end_of_a_process_concerns_its_own_viewers_alone_and_they_keep_their
     let (_folder, paths) = volumes();
     let Some(server) = start(&paths, &TWO) else { return };
     let address = server.address;
-    let mut first = Viewer::open(address, "ball").await;
-    let shown = first.edit(json!({"iso": 0.5})).await;
-    let mut other = Viewer::open(address, "waves").await;
-    let shown_to_other = other.edit(json!({"iso": 0.5})).await;
-    assert_eq!(assigned(address), [1, 1]);
+    let [(mut first, shown), (mut other, shown_to_other)] = two_viewers(address).await;
     let before = processes(address);
     let [Some(process), Some(_)] = before[..] else {
         panic!("{before:?}")
     };
-    kill(process);
+    process::signal(process, "KILL");
     assert_eq!(http::get(address, "/readyz").status, 200, "the other device answers");
     other.edit(json!({"iso": 0.6})).await;
     assert_eq!(counts(&other.edit(json!({"iso": 0.5})).await), counts(&shown_to_other));
@@ -184,7 +193,7 @@ struct Killing(Arc<AtomicBool>, Option<std::thread::JoinHandle<()>>);
 
 impl Killing {
     /// `spared`: process of the other device.
-    fn start(server: &Process, spared: u64) -> Self {
+    fn start(server: &Process, spared: u32) -> Self {
         let (is_over, parent) = (Arc::new(AtomicBool::new(false)), server.id());
         let over = Arc::clone(&is_over);
         let kill_all = move || {
@@ -192,7 +201,7 @@ impl Killing {
                 children(parent)
                     .into_iter()
                     .filter(|&child| child != spared)
-                    .for_each(kill);
+                    .for_each(|child| _ = process::signal(child, "KILL"));
                 std::thread::sleep(Duration::from_millis(2));
             }
         };
@@ -208,7 +217,7 @@ impl Drop for Killing {
 }
 
 /// Children of all threads of a process.
-fn children(process: u32) -> Vec<u64> {
+fn children(process: u32) -> Vec<u32> {
     let threads = std::fs::read_dir(format!("/proc/{process}/task")).expect("the process runs");
     let files = threads.flatten().map(|thread| thread.path().join("children"));
     let texts: Vec<String> = files.flat_map(std::fs::read_to_string).collect();
@@ -224,11 +233,7 @@ async fn the_volumes_of_a_device_that_cannot_be_opened_any_more_move_to_another(
     let (_folder, paths) = volumes();
     let Some(server) = start(&paths, &TWO) else { return };
     let address = server.address;
-    let mut first = Viewer::open(address, "ball").await;
-    let shown = first.edit(json!({"iso": 0.5})).await;
-    let mut other = Viewer::open(address, "waves").await;
-    other.edit(json!({"iso": 0.5})).await;
-    assert_eq!(assigned(address), [1, 1]);
+    let [(mut first, shown), (mut other, _)] = two_viewers(address).await;
     let spared = processes(address)[1].expect("a process");
     let expected = export(address, "ball");
     let killing = Killing::start(&server, spared);
@@ -246,7 +251,7 @@ async fn the_volumes_of_a_device_that_cannot_be_opened_any_more_move_to_another(
     assert_eq!(processes(address)[1], Some(spared));
     drop(killing);
     wait_for(&server, "the device is back", |devices| devices[0]["state"] == "ready");
-    // The volume stays where it is now.
+    // The volume stays on its new device.
     first.edit(json!({"iso": 0.4})).await;
     assert_eq!(assigned(address), [0, 2]);
     first.close().await;
@@ -277,27 +282,15 @@ async fn a_volume_whose_queue_is_long_gets_a_further_device() {
         let viewer = Viewer::open(address, "ball").await;
         busy.push(tokio::spawn(edit_until(viewer, number, Arc::clone(&is_over))));
     }
-    let start = Instant::now();
-    while assigned(address) != [1, 1] {
-        assert!(start.elapsed() < LIMIT, "{:?}", devices(address));
-        // A new caller.
-        let answer = http::get(address, "/api/v1/volumes/ball");
-        assert!([200, 503].contains(&answer.status));
-    }
-    println!("a further device after {:?}", start.elapsed());
+    ask_until(address, "ball", || assigned(address) == [1, 1]);
     assert_eq!(of_device(address, "isopeel_device_volumes_replicated_total", 1), 1.0);
     is_over.store(true, Ordering::Relaxed);
     for viewer in busy {
         viewer.await.expect("no error");
     }
-    let start = Instant::now();
     // The device has the volume, and its surface is the same.
     let bytes = |device: usize| devices(address)[device]["memory"]["volumeBytes"].as_u64();
-    while bytes(1).is_none() || bytes(1) != bytes(0) {
-        assert!(start.elapsed() < LIMIT, "{:?}", devices(address));
-        let answer = http::get(address, "/api/v1/volumes/ball");
-        assert!([200, 503].contains(&answer.status));
-    }
+    ask_until(address, "ball", || bytes(1).is_some() && bytes(1) == bytes(0));
     assert!(look_at(address, "ball").await.chunks == calm);
 }
 

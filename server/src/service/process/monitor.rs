@@ -194,7 +194,7 @@ mod tests {
         watch_threads(milliseconds, 0, 0, signs)
     }
 
-    /// As [`watch`], with so many threads that want to run, and the percentage of the time that they run together.
+    /// As [`watch`]. `threads`: number of threads that want to run; `percent`: processor time of all of them, in percent of the time.
     fn watch_threads(
         milliseconds: u64,
         threads: usize,

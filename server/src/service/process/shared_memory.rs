@@ -77,7 +77,7 @@ impl SharedMemory {
         Self::create_below(file_limit.min(space_limit / ADDRESS_SPACE_SHARE))
     }
 
-    /// As [`SharedMemory::create`], with at most so many bytes.
+    /// As [`SharedMemory::create`]. `limit`: maximum bytes of all slots.
     ///
     /// # Errors
     /// As [`SharedMemory::create`].

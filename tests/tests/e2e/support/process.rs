@@ -113,6 +113,14 @@ fn spawn(mut command: Command, paths: &[PathBuf], options: &[&str], log: Stdio) 
     Some((Process { child, address }, line.trim().to_owned()))
 }
 
+/// Sends a signal to a process: `TERM`, `KILL`. Returns false if the process has ended.
+pub fn signal(id: u32, name: &str) -> bool {
+    let status = Command::new("kill")
+        .args([&format!("-{name}"), &id.to_string()])
+        .status();
+    status.expect("kill runs").success()
+}
+
 impl Process {
     /// Process id of the server.
     pub fn id(&self) -> u32 {
@@ -140,10 +148,7 @@ impl Process {
             }
             std::thread::sleep(Duration::from_millis(10));
         };
-        let status = Command::new("kill")
-            .args([&format!("-{name}"), &id.to_string()])
-            .status();
-        assert!(status.expect("kill runs").success());
+        assert!(signal(id, name), "the process has ended");
     }
 
     /// A file of `/proc` about the server, and about the process of its device.
@@ -171,10 +176,7 @@ impl Process {
 
     /// Sends it a signal: `TERM`, `HUP`.
     pub fn signal(&self, name: &str) {
-        let status = Command::new("kill")
-            .args([&format!("-{name}"), &self.child.id().to_string()])
-            .status();
-        assert!(status.expect("kill runs").success());
+        assert!(signal(self.child.id(), name), "the server has ended");
     }
 
     /// How it ended; panics if it has not within `limit`.
