@@ -17,13 +17,13 @@ const LOOK_INTERVAL: Duration = Duration::from_millis(100);
 const LATE_LOOK: Duration = Duration::from_millis(300);
 
 /// Maximum time without a sign of life. The process sends one five times a second.
-const SILENCE_LIMIT: Duration = Duration::from_millis(1500);
+const SILENCE_LIMIT: Duration = Duration::from_secs(1);
 
 /// Maximum time from the start of the process to its first sign of life: programs start slowly from a slow disk.
 const START_LIMIT: Duration = Duration::from_secs(60);
 
 /// Maximum time that one command takes on any device, apart from the samples that it reads.
-const COMMAND_LIMIT: Duration = Duration::from_secs(2);
+const COMMAND_LIMIT: Duration = Duration::from_secs(1);
 
 /// Minimum bytes of samples that a command processes in a second.
 const COMMAND_BYTES_A_SECOND: u64 = 50_000_000;
@@ -220,7 +220,7 @@ mod tests {
     fn a_process_that_speaks_and_works_lives() {
         assert_eq!(watch(60_000, |time| (1 + time / 200, 0, false)), None, "nothing to do");
         assert_eq!(
-            watch(60_000, |time| (1 + time / 200, time / 2_500, true)),
+            watch(60_000, |time| (1 + time / 200, time / 1_500, true)),
             None,
             "slow commands"
         );
@@ -228,15 +228,15 @@ mod tests {
 
     #[test]
     fn a_silent_process_is_killed_soon_and_one_that_starts_late() {
-        assert_eq!(watch(60_000, |_| (1, 0, false)), Some((1_600, Killed::Silent)));
+        assert_eq!(watch(60_000, |_| (1, 0, false)), Some((1_100, Killed::Silent)));
         assert_eq!(watch(90_000, |_| (0, 0, false)), Some((60_100, Killed::Silent)));
     }
 
     #[test]
-    fn a_stuck_driver_has_two_seconds_and_one_for_each_50_mb() {
+    fn a_stuck_driver_has_one_second_and_one_more_for_each_50_mb() {
         assert_eq!(
             watch(60_000, |time| (1 + time / 200, 7, true)),
-            Some((3_100, Killed::Stuck))
+            Some((2_100, Killed::Stuck))
         );
     }
 
@@ -245,12 +245,12 @@ mod tests {
         let stuck = |time| (1 + time / 200, 7, true);
         assert_eq!(
             watch_threads(60_000, 2, 200, stuck),
-            Some((3_100, Killed::Stuck)),
+            Some((2_100, Killed::Stuck)),
             "both run"
         );
         assert_eq!(
             watch_threads(60_000, 2, 50, stuck),
-            Some((12_100, Killed::Stuck)),
+            Some((8_100, Killed::Stuck)),
             "a quarter of the time"
         );
         assert_eq!(watch_threads(60_000, 1, 0, |_| (1, 7, true)), None, "never");
