@@ -21,7 +21,7 @@ WEB_SOURCES := $(shell find web -type f -not -path '*/node_modules/*' -not -path
 NPM_CI := npm ci --no-audit --no-fund --loglevel=error
 
 .PHONY: help run build test prerequisites-build prerequisites-run prerequisites-test generated release web-client \
-	dependencies lint test-compose test-podman test-apptainer test-systemd test-clients dist test-dist test-kubernetes test-slurm test-web test-rust load soak test-volumes fuzz fuzz-targets fixtures test-formats containers test-oclgrind test-pocl-6 test-drivers test-gpu test-browser test-browsers test-service test-glb bench bench-browser screenshot \
+	dependencies lint test-compose test-podman test-apptainer test-systemd test-clients dist test-dist test-deployment test-kubernetes test-slurm test-web test-rust load soak test-volumes fuzz fuzz-targets fixtures test-formats containers test-oclgrind test-pocl-6 test-drivers test-gpu test-browser test-browsers test-service test-glb bench bench-browser screenshot \
 	pictures gallery clean
 
 help: ## what can be made
@@ -247,6 +247,14 @@ test-systemd: ## the Debian package of `make dist` (PACKAGE) in a root of Debian
 
 test-kubernetes: ## docker/kubernetes rendered by kustomize or kubectl, and validated by schemas from PyPI
 	tests/scripts/kubernetes.py
+
+# Rootless Podman is tried by this user.
+PODMAN_USER ?= $(SUDO_USER)
+test-deployment: ## all of these on the files of `make dist`: test-dist, test-systemd, test-podman, test-apptainer, test-compose, test-kubernetes, test-slurm; as root, with PODMAN_USER
+	@test -n "$(PODMAN_USER)" || { echo "PODMAN_USER is empty, expected a user with subordinate ids (/etc/subuid), who runs Podman" >&2; exit 1; }
+	$(MAKE) --no-print-directory test-dist test-systemd
+	runuser --user $(PODMAN_USER) -- tests/scripts/podman.sh $(ARCHIVE)
+	$(MAKE) --no-print-directory test-apptainer test-compose test-kubernetes test-slurm
 
 test-slurm: build-tests ## the scripts of docker/ for Slurm, run as it would run them
 	tests/scripts/slurm.sh $(TESTED_BINARY)

@@ -37,13 +37,20 @@ trap 'run down --volumes --timeout 5 >/dev/null 2>&1; rm -rf "$work"' EXIT
     echo "  cpu:"
     echo "    command: serve --listen 0.0.0.0:$ISOPEEL_PORT"
     echo "    environment: {HEALTH_PORT: '$ISOPEEL_PORT'}"
-    [ -z "${BASE_IMAGE:-}" ] || echo "    build: {network: host, args: {BASE_IMAGE: '$BASE_IMAGE', BINARY: packed}}"
+    build=
+    [ -z "${BASE_IMAGE:-}" ] || build="    build: {network: host, args: {BASE_IMAGE: '$BASE_IMAGE', BINARY: packed}}"
+    echo "$build"
     if docker network inspect bridge >/dev/null 2>&1; then
         echo "    ports: !override ['127.0.0.1:$ISOPEEL_PORT:$ISOPEEL_PORT']"
     else
         echo "    network_mode: host"
         echo "    ports: !reset []"
     fi
+    # As on a machine without a GPU, whose engine would refuse it.
+    echo "  gpu:"
+    echo "    deploy: !reset null"
+    echo "    restart: !reset null"
+    echo "$build"
 } >"$work/test.yaml"
 
 # answer WANTED CURL_ARGUMENT ...
@@ -72,6 +79,8 @@ healthy() {
     done
     fail "not healthy within a minute"
 }
+# Number of the process of the device, in the container.
+device_process() { run exec --no-TTY cpu sh -c 'for p in /proc/[0-9]*; do tr "\0" " " <"$p/cmdline" 2>/dev/null | grep --quiet "^isopeel worker " && echo "${p#/proc/}"; done; true'; }
 new_token() { run exec --no-TTY cpu isopeel token create --user ann --role view --role export --role upload 2>"$work/errors" || fail "no token: $(cat "$work/errors")"; }
 
 url=http://127.0.0.1:$ISOPEEL_PORT
@@ -132,6 +141,20 @@ done
 [ "$(jq --raw-output .state "$work/answer")" = done ] || fail "the job is not done: $(cat "$work/answer")"
 healthy
 [ "$(run exec --no-TTY cpu id -u)" = 10001 ] || fail "another user than 10001"
+run logs --no-color >"$work/log" 2>&1
+grep --max-count 1 --only-matching 'the process of the device is .*confined.*' "$work/log" || fail "the log does not say whether the process of the device is confined"
+
+echo "=== the process of the device ends"
+first=$(device_process)
+[ "$(wc -w <<<"$first")" = 1 ] || fail "the processes of one device are '$first'"
+run exec --no-TTY cpu sh -c "kill -9 $first"
+start=$EPOCHREALTIME
+answer 200 "${user[@]}" --json '{"volume": "mni152", "iso": 95, "triangles": 5000, "format": "stl"}' "$url/api/v1/extract"
+echo "a surface $(echo "$start $EPOCHREALTIME" | awk '{ printf "%.1f", $2 - $1 }') s later"
+second=$(device_process)
+[ -n "$second" ] && [ "$second" != "$first" ] || fail "the process $first was killed, and now there is '$second'"
+# The server waits for builders of kernels at the end of the check, which goes on.
+[ "$(run exec --no-TTY cpu sh -c 'cat /proc/[0-9]*/stat' | awk -v killed="$first" '$3 == "Z" && ($4 == 1 || $1 == killed)' | wc -l)" = 0 ] || fail "a zombie is left"
 
 echo "=== after a restart"
 run restart cpu 2>/dev/null
@@ -140,8 +163,22 @@ answer 200 "${user[@]}" "$url/api/v1/volumes"
 answer 200 "${user[@]}" "$url/api/v1/jobs/$job/results/0"
 answer 200 "${user[@]}" "$url/api/v1/uploads/$upload"
 run stop 2>/dev/null
+# More than the container may have, and less than most machines have. Almost all of the file is a hole.
+printf 'NRRD0004\ntype: uint8\ndimension: 3\nsizes: 1600 1600 1600\nencoding: raw\n\n' >"$work/large.nrrd"
+truncate --size +4096000000 "$work/large.nrrd"
+if docker run --rm --memory 2g --volume "${project}_state:/var/lib/isopeel" --volume "$work/large.nrrd:/large.nrrd:ro" isopeel:cpu \
+    extract /large.nrrd --iso 90 --stats >"$work/answer" 2>&1 || ! grep --quiet "of this machine's memory, the limit is" "$work/answer"; then
+    fail "a volume of 4 GB in a container of 2 GiB: $(cat "$work/answer")"
+fi
 [ "$(docker inspect --format '{{.State.ExitCode}}' "$(run ps --all --quiet cpu)")" = 0 ] || fail "SIGTERM did not end it with success"
 run down --volumes 2>/dev/null
+
+echo "=== the GPU image, without a GPU"
+if run --profile gpu up --build --exit-code-from gpu gpu >"$work/answer" 2>&1 || ! grep --quiet 'the OpenCL loader found no driver\|the OpenCL drivers offer no device' "$work/answer"; then
+    fail "does not say that there is no device: $(cat "$work/answer")"
+fi
+echo "$(docker image inspect isopeel | jq '.[0].Size / 1e6 | round') MB"
+run --profile gpu down --volumes 2>/dev/null
 
 echo "=== the end under load"
 # Four clients that ask as a balancer does: for what is ready only.

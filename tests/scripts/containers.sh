@@ -75,6 +75,13 @@ build gpu isopeel
 build mesa isopeel:mesa trixie
 build intel isopeel:intel
 
+# Debian 12's buildah names the stage of the binary by the argument.
+say "in Docker's format, with the health check"
+buildah build --format docker --isolation chroot "${mounts[@]}" --layers --target gpu --tag localhost/isopeel:docker --build-arg BINARY="${IMAGE_BINARY:-compiled}" \
+    --build-arg BASE_IMAGE=localhost/isopeel-debian --build-arg RUST_IMAGE=localhost/isopeel-rust --build-arg NODE_IMAGE=localhost/isopeel-node \
+    --file docker/Dockerfile . >>"$log" 2>&1 || fail "could not build in Docker's format"
+podman image inspect --format '{{.HealthCheck.Test}}' localhost/isopeel:docker | grep healthcheck.sh || fail "the image has no health check"
+
 # With `packed` they are a file of the release.
 if [ "${IMAGE_BINARY:-compiled}" = compiled ]; then
     say "symbols of the images' binary"

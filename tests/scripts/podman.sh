@@ -38,6 +38,8 @@ ready() {
 }
 # answers TOKEN: within the time that the server takes to see it
 answers() { curl --silent --fail --output /dev/null --retry 8 --retry-delay 1 --retry-all-errors --header "Authorization: Bearer $1" "$url/api/v1/volumes" || fail "refuses a token"; }
+# Number of the process of the device, in the container.
+device_process() { podman exec "$name" sh -c 'for p in /proc/[0-9]*; do tr "\0" " " <"$p/cmdline" 2>/dev/null | grep --quiet "^isopeel worker " && echo "${p#/proc/}"; done; true'; }
 
 loaded=$(podman load --quiet --input "$archive" | tail -n 1)
 podman tag "${loaded##*: }" "localhost/$name"
@@ -48,7 +50,15 @@ ready
 token=$(podman exec "$name" isopeel token create --user ann --role view)
 answers "$token"
 podman exec "$name" healthcheck.sh || fail "healthcheck.sh fails"
-[ "$(podman exec "$name" sh -c 'cat /proc/[0-9]*/stat' | awk '$3 == "Z"' | wc -l)" = 0 ] || fail "zombies are left"
+podman logs "$name" 2>&1 | grep --only-matching 'the process of the device is .*confined.*' || fail "the log does not say whether the process of the device is confined"
+first=$(device_process)
+[ "$(wc -w <<<"$first")" = 1 ] || fail "the processes of one device are '$first'"
+podman exec "$name" sh -c "kill -9 $first"
+ready
+second=$(device_process)
+[ -n "$second" ] && [ "$second" != "$first" ] || fail "the process $first was killed, and now there is '$second'"
+# The server waits for builders of kernels at the end of the check, which goes on.
+[ "$(podman exec "$name" sh -c 'cat /proc/[0-9]*/stat' | awk -v killed="$first" '$3 == "Z" && ($4 == 1 || $1 == killed)' | wc -l)" = 0 ] || fail "zombies are left"
 echo "=== after a restart"
 podman restart "$name" >/dev/null
 ready

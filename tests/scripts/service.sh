@@ -49,6 +49,21 @@ answers() { curl --silent --fail --output /dev/null --retry 8 --retry-delay 1 --
 answers
 systemctl reload isopeel
 answers
+# The process of the device confines itself as far as the kernel can, and is replaced when it ends.
+journalctl --no-pager -u isopeel >/test/journal
+grep --max-count 1 --only-matching 'the process of the device is .*confined.*' /test/journal
+device_process() {
+    for process in /proc/[0-9]*; do
+        if tr '\0' ' ' <"$process/cmdline" 2>/dev/null | grep --quiet '^isopeel worker '; then echo "${process#/proc/}"; fi
+    done
+}
+first=$(device_process)
+[ "$(wc -w <<<"$first")" = 1 ]
+kill -9 "$first"
+ready
+second=$(device_process)
+[ -n "$second" ] && [ "$second" != "$first" ]
+echo "process $first of the device was killed, replaced by $second"
 start=$EPOCHREALTIME
 systemctl restart isopeel
 ready

@@ -2,6 +2,7 @@
 
 pub mod batch;
 pub mod bench;
+mod control_group;
 pub mod device;
 pub mod devices;
 pub mod extract;
@@ -178,6 +179,10 @@ impl Command {
 /// The error of the command. The caller prints it.
 pub fn run(cli: Cli) -> Result<(), BoxError> {
     pool::start()?;
+    // `serve` has an option for it.
+    if cli.command.uses_device() && !matches!(cli.command, Command::Serve(_)) {
+        control_group::limit_memory(None);
+    }
     let log_arguments = [cli.log_format.arguments(), worker::log_level(cli.command.default_log())].concat();
     match cli.command {
         Command::Serve(args) => Ok(serve::run(&args, &log_arguments)?),

@@ -159,7 +159,7 @@ impl Folder {
     fn new() -> Self {
         let root = tempfile::tempdir().expect("a folder");
         let write = |name: &str, bytes: &[u8]| std::fs::write(root.path().join(name), bytes).expect("a file");
-        for name in ["scans", "more", "scratch", "scratch/study", "bin"] {
+        for name in ["scans", "more", "scratch", "scratch/study", "bin", "etc"] {
             std::fs::create_dir(root.path().join(name)).expect("a folder");
         }
         let samples = samples();
@@ -195,8 +195,17 @@ impl Folder {
         std::os::unix::fs::symlink(command::binary(), root.path().join("bin/isopeel")).expect("a link");
         // In the place of a program that reads STL.
         write("bin/admesh", b"#!/bin/sh\ntest $(wc -c) -gt 1000\n");
-        let all = std::os::unix::fs::PermissionsExt::from_mode(0o755);
-        std::fs::set_permissions(root.path().join("bin/admesh"), all).expect("its mode");
+        // Accounts of this folder, in the place of those of the machine.
+        write(
+            "bin/sudo",
+            b"#!/bin/sh\ntest \"$1\" = usermod && shift && exec /usr/sbin/usermod --prefix \"$CURL_HOME\" \"$@\"\n",
+        );
+        write("etc/passwd", b"reader:x:1000:1000::/home/reader:/bin/sh\n");
+        write("etc/group", b"reader:x:1000:\nvideo:x:44:\nrender:x:105:\n");
+        for name in ["bin/admesh", "bin/sudo"] {
+            let all = std::os::unix::fs::PermissionsExt::from_mode(0o755);
+            std::fs::set_permissions(root.path().join(name), all).expect("its mode");
+        }
         let folder = Self {
             root,
             server: None,
@@ -219,6 +228,7 @@ impl Folder {
             .current_dir(self.root.path())
             .env("PATH", format!("{}:{path}", self.path("bin")))
             .env("CURL_HOME", self.root.path())
+            .env("USER", "reader")
             .env("ISOPEEL_SERVER", name("SERVER"))
             .env("ISOPEEL_TOKEN_FILE", self.path("token-of-the-server"))
             .env("AUTH", format!("Authorization: Bearer {}", name("TOKEN")))
@@ -246,6 +256,8 @@ impl Folder {
             .replace("completions SHELL", "completions bash")
             // The large one takes this unoptimised binary a minute.
             .replace("--size 192", "--size 48")
+            .replace("--size 256 512", "--size 32 48")
+            .replace("--size 512", "--size 48")
             .replace("--iso V ", "--iso 300 ");
         for name in ["VOLUME", "FILE", "PATH"] {
             line = line.replace(&format!(" {name}"), " head.nrrd");

@@ -3,8 +3,9 @@
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 use std::time::Duration;
 
-use isopeel_extraction::{PROCESSOR_BYTES, limit_host_memory};
+use isopeel_extraction::PROCESSOR_BYTES;
 
+use crate::cli::control_group::limit_memory;
 use crate::stream::SHARED_BYTES;
 
 /// Default of `--read-ahead`: space for sixteen time steps of 256³ 32-bit floats.
@@ -24,7 +25,7 @@ const TRIM_INTERVAL: Duration = Duration::from_secs(30);
 #[derive(Debug, clap::Args)]
 pub struct MemoryArgs {
     /// Memory of this machine for volumes and surfaces with all else that the process holds, in MiB: what would take more is refused before
-    /// it is read or made [default: what the machine or the container has]
+    /// it is read or made [default: what the machine has, or a control group allows]
     #[arg(long, value_name = "MIB", value_parser = clap::value_parser!(u64).range(1..))]
     host_memory: Option<u64>,
 
@@ -53,9 +54,7 @@ impl MemoryArgs {
     /// Sets the limit of host memory, and makes the allocator return freed memory. Call this once, before any other work.
     pub(super) fn limit_process(&self) {
         return_freed_memory();
-        if let Some(mebibytes) = self.host_memory {
-            limit_host_memory(mebibytes.saturating_mul(MIB));
-        }
+        limit_memory(self.host_memory.map(|mebibytes| mebibytes.saturating_mul(MIB)));
     }
 
     /// Returns the maximum device bytes of pyramids, vertex trees, cuts and free buffers, if `--surface-memory` is given.
