@@ -10,10 +10,10 @@
  * - bytes of a triangle of the final surface, with headers.
  */
 
-import { connect, createServer } from "node:net";
 import { parseArgs } from "node:util";
 import WebSocket from "ws";
 import { startServer } from "./harness.mjs";
+import { startRelay } from "./relay.mjs";
 
 const { values: options, positionals: volumes } = parseArgs({
   allowPositionals: true,
@@ -33,58 +33,8 @@ const QUIET_MS = 1000;
 const VIEWPORT = [1240, 936];
 const FOV = 32;
 const LOOKING_FROM = [0.66, -0.66, 0.36];
-/** Bytes that the bottleneck holds, as time. */
-const QUEUE_MS = 20;
-const PACKET_BYTES = 4096;
 
 const sleep = (ms) => new Promise((done) => setTimeout(done, ms));
-
-/** Passes bytes on after a delay, no faster than a rate. */
-async function pump(from, to, bytesPerMs, delayMs) {
-  const waiting = [];
-  let wake = () => undefined;
-  const write = async () => {
-    for (;;) {
-      while (waiting.length === 0) await new Promise((woken) => (wake = woken));
-      const { at, bytes } = waiting.shift();
-      if (at > performance.now()) await sleep(at - performance.now());
-      if (bytes === null) return to.end();
-      to.write(bytes);
-    }
-  };
-  void write();
-  const put = (at, bytes) => {
-    waiting.push({ at, bytes });
-    wake();
-  };
-  let free = 0;
-  try {
-    for await (const data of from) {
-      for (let start = 0; start < data.length; start += PACKET_BYTES) {
-        const bytes = data.subarray(start, start + PACKET_BYTES);
-        free = Math.max(free, performance.now()) + bytes.length / bytesPerMs;
-        put(free + delayMs, bytes);
-        const ahead = free - performance.now() - QUEUE_MS;
-        if (ahead > 0) await sleep(ahead);
-      }
-    }
-  } catch {
-    // The other end is gone.
-  }
-  put(performance.now(), null);
-}
-
-/** A relay to a port of this machine. */
-async function startRelay(port) {
-  const server = createServer((client) => {
-    const target = connect(port, "127.0.0.1");
-    for (const socket of [client, target]) socket.setNoDelay(true).on("error", () => socket.destroy());
-    void pump(client, target, Infinity, ROUND_TRIP_MS / 2);
-    void pump(target, client, MBIT * 125, ROUND_TRIP_MS / 2);
-  });
-  await new Promise((listening) => server.listen(0, "127.0.0.1", listening));
-  return { port: server.address().port, stop: () => server.close() };
-}
 
 /** Offsets in a chunk's header. */
 const [HEADER_BYTES, SIZE_AT, REGION_AT] = [96, 18, 20];
@@ -227,7 +177,7 @@ const sorted = (numbers) => [...numbers].sort((a, b) => a - b);
 const seconds = (ms) => (ms / 1000).toFixed(3);
 
 const server = await startServer(volumes, { demo: volumes.length === 0 });
-const relay = await startRelay(server.port);
+const relay = await startRelay(server.port, MBIT, ROUND_TRIP_MS);
 try {
   const listed = await (await fetch(`${server.url}/api/v1/volumes`)).json();
   for (const { id } of listed.volumes ?? listed) {
