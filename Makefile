@@ -319,9 +319,11 @@ test-clients: build-tests tests/clients/node_modules/.package-lock.json target/c
 bench: prerequisites-run web-client ## isopeel beside its peers on this machine, written to BENCHMARKS.md
 	tests/scripts/bench.py $(if $(DEVICE),--device '$(DEVICE)') $(BENCH)
 
-bench-browser: prerequisites-test release tests/browser/node_modules/.package-lock.json ## from an edit to its first picture in chromium, and what the page costs
+bench-browser: prerequisites-test release tests/browser/node_modules/.package-lock.json ## from an edit to its first picture in chromium, what the page costs, edits over a slow line, and zooms
 	cd tests/browser && node bench.mjs $(BENCH)
 	cd tests/browser && node bench_page.mjs
+	cd tests/browser && node bench_line.mjs
+	cd tests/browser && node bench_zoom.mjs
 
 screenshot: prerequisites-test release tests/browser/node_modules/.package-lock.json ## the viewer's picture in docs/images
 	cd tests/browser && node screenshot.mjs

@@ -1,16 +1,18 @@
 /**
- * Times from an input event to the first frame of its edit: `node bench.mjs [--edits N] [--json]`.
+ * Times from an input event to the first frame of its edit: `node bench.mjs [--edits N] [--mbit N --round-trip MS] [--json]`.
  *
- * Server, headless chromium and software rendering on one machine, with the demo volume. Edits the isovalue from the
+ * Server, headless chromium and software rendering on one machine, with the demo volume. Edits the isovalue and α from the
  * keyboard, each when the last one is settled. The page's sockets, worker and animation frames are observed from outside; the
- * viewer has no code for it. A frame counts when the GPU has finished it.
+ * viewer has no code for it. A frame counts when the GPU has finished it. With `--mbit` the page is behind a relay of this rate, and a
+ * round trip of so many milliseconds.
  */
 
 import { parseArgs } from "node:util";
 import { settled, startServer } from "./harness.mjs";
 import { openQuietPage } from "./quiet_page.mjs";
+import { startRelay } from "./relay.mjs";
 
-const { values: options } = parseArgs({ options: { edits: { type: "string", default: "20" }, json: { type: "boolean" } } });
+const { values: options } = parseArgs({ options: { edits: { type: "string", default: "20" }, mbit: { type: "string" }, "round-trip": { type: "string", default: "40" }, json: { type: "boolean" } } });
 const EDITS = Number(options.edits);
 
 /** Keys and the numbers that the browser knows them by. */
@@ -19,6 +21,7 @@ const RIGHT = ["ArrowRight", 39];
 /** One key's edit each. The isovalue goes one way, for the server keeps what it knows of the isovalues before. */
 const SCENARIOS = [
   { name: "isovalue", slider: "Isovalue", key: () => RIGHT },
+  { name: "α", slider: "Balance α", key: () => RIGHT },
 ];
 
 /** Moments between the event and its frame, in order. */
@@ -131,9 +134,10 @@ async function measure(page, scenario) {
 }
 
 const server = await startServer([], { demo: true });
+const relay = options.mbit === undefined ? undefined : await startRelay(server.port, Number(options.mbit), Number(options["round-trip"]));
 let page;
 try {
-  page = await openQuietPage(`${server.url}/#v=1&volume=mni152`, { width: 1100, height: 760, script: `(${observe})()` });
+  page = await openQuietPage(`http://127.0.0.1:${relay?.port ?? server.port}/#v=1&volume=mni152`, { width: 1100, height: 760, script: `(${observe})()` });
   await settled(page);
   await page.evaluate(() => (document.querySelector("details.expert").open = true));
   for (const scenario of SCENARIOS) {
@@ -154,5 +158,6 @@ try {
   }
 } finally {
   await page?.close();
+  relay?.stop();
   await server.stop();
 }

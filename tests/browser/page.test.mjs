@@ -218,7 +218,7 @@ describe("the page", { timeout: 6 * TIMEOUT_MS }, () => {
     for (const name of ["Surface", "Importance", "Look"]) await card(name).click();
 
     await card("Clip").click();
-    await page.getByRole("radiogroup", { name: "Plane" }).getByText("Across x").click();
+    await page.getByRole("radiogroup", { name: "Plane" }).getByText("⟂ x").click();
     await page.waitForFunction(() => location.hash.includes("plane=-1,0,0"));
     const clipped = await picture(page);
     assert.ok(difference(opened, clipped) > 0.05, "half of the ball is cut away");

@@ -155,7 +155,7 @@ describe("camera", { timeout: 2 * TIMEOUT_MS }, () => {
     const along = apart.reduce((sum, c, axis) => sum + c * forward[axis], 0);
     const across = Math.sqrt(apart.reduce((sum, c) => sum + c * c, 0) - along ** 2);
     const [length, words] = [parseFloat(bar.text), bar.text.replace(/^[\d.]+ /, "")];
-    assert.equal(words, "at the centre");
+    assert.equal(words, "world units at the centre");
     assert.ok(Math.abs((bar.pixels / length) * (across / 20) - 1) < 0.03, `${bar.text} has ${bar.pixels} pixels, of which 20 are ${across}`);
   });
 

@@ -16,7 +16,7 @@ const DIMS = [50, 47, 44];
 const at = setUp();
 
 const panel = (page) => page.getByRole("region", { name: "Slices" }).and(page.locator(".slice-panel"));
-const pane = (page, axis) => page.getByRole("img", { name: new RegExp(`^Across ${axis} slice`) });
+const pane = (page, axis) => page.getByRole("img", { name: new RegExp(`^Perpendicular to ${axis} slice`) });
 
 /** Index of the slice across an axis, as its name says. */
 async function indexOf(page, axis) {
@@ -97,7 +97,7 @@ test("a click in a slice or on the surface moves the crosshair in all of them, a
   // The surface, seen along the second axis: its nearest point in the middle is at y = 23.5 − 15.
   const canvas = await page.locator(".viewport canvas").boundingBox();
   await page.mouse.click(canvas.x + canvas.width / 2, canvas.y + canvas.height / 2);
-  await page.waitForFunction(() => /y slice, [89] of/.test(document.querySelector('[aria-label^="Across y"]').getAttribute("aria-label")));
+  await page.waitForFunction(() => /y slice, [89] of/.test(document.querySelector('[aria-label^="Perpendicular to y"]').getAttribute("aria-label")));
   await drawn(page);
   const [x, y, z] = await crosshair(page);
   assert.ok(Math.abs(x - 25) <= 1 && Math.abs(y - 8.5) <= 1 && Math.abs(z - 22) <= 1, `at ${x}, ${y}, ${z}`);
@@ -119,10 +119,10 @@ test("wheel and keys go through the slices, the right button changes window and 
   await drawn(page);
   await pane(page, "z").hover();
   await page.mouse.wheel(0, -120);
-  await page.waitForFunction(() => document.querySelector('[aria-label^="Across z slice, 23 of"]') !== null);
+  await page.waitForFunction(() => document.querySelector('[aria-label^="Perpendicular to z slice, 23 of"]') !== null);
   await page.mouse.wheel(0, 120);
   await page.mouse.wheel(0, 120);
-  await page.waitForFunction(() => document.querySelector('[aria-label^="Across z slice, 21 of"]') !== null);
+  await page.waitForFunction(() => document.querySelector('[aria-label^="Perpendicular to z slice, 21 of"]') !== null);
   const slice = pane(page, "z");
   await slice.focus();
   await slice.press("PageUp");
@@ -229,7 +229,7 @@ test("a clip plane cuts away the half that is nearer to the camera", { ...MORE, 
     await page.getByRole("button", { name: `Look from ${side}` }).click();
     await cameraAtRest(page);
     await plane.getByText("None").click();
-    await plane.getByText("Across y").click();
+    await plane.getByText("⟂ y").click();
     await page.waitForFunction((normal) => location.hash.includes(`plane=${normal},`), normal);
   }
   assert.deepEqual(faults, []);
@@ -249,7 +249,7 @@ test("those who follow see the same slices", { ...MORE, timeout: 4 * TIMEOUT_MS 
   await drawn(follower.page);
   await pane(leader.page, "z").focus();
   await pane(leader.page, "z").press("PageUp");
-  await follower.page.getByRole("img", { name: /^Across z slice, 23 of/ }).waitFor();
+  await follower.page.getByRole("img", { name: /^Perpendicular to z slice, 23 of/ }).waitFor();
   assert.deepEqual(await crosshair(follower.page), [25, 23, 23]);
   // A follower cannot move the crosshair or hide the slices.
   await pane(follower.page, "z").focus();
@@ -280,7 +280,7 @@ test("a server that refuses is said, the last slices stay as old ones, and nothi
   await drawn(page);
   // A phone: one slice at a time.
   assert.equal(await page.locator(".slice-picture:visible").count(), 1);
-  await panel(page).getByRole("button", { name: "Across y", exact: true }).click();
+  await panel(page).getByRole("button", { name: "Perpendicular to y", exact: true }).click();
   assert.equal(await pane(page, "y").isVisible(), true);
   await saveScreenshot(page, "slices-phone");
   assert.deepEqual(await violations(page), []);

@@ -54,6 +54,9 @@ test("bookmarks are made, changed, saved, opened and deleted", { timeout: 3 * TI
   await page.getByRole("button", { name: "Add bookmark" }).click();
   await page.getByRole("button", { name: "Move bookmark 2 up" }).click();
   assert.equal(await sentence(page, 2).inputValue(), "The whole ball");
+  await page.setViewportSize({ width: 820, height: 760 });
+  const [list, button] = await Promise.all([page.locator(".bookmarks"), page.getByRole("button", { name: "Delete bookmark 1" })].map((of) => of.boundingBox()));
+  assert.ok(button.x + button.width <= list.x + list.width + 1, "a button is outside of a narrow column");
   await page.waitForFunction(() => window.location.hash.includes("story="));
   for (const theme of ["dark", "light"]) {
     await page.emulateMedia({ colorScheme: theme });

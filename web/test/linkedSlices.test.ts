@@ -70,9 +70,9 @@ test("slices of a patient lie as radiologists have them, or as neurologists, whi
 
 test("other slices have the world's axes at their sides, the third and the second upwards", () => {
   expect(named(sliceViews(EVEN, false))).toEqual([
-    { name: "Across z", across: 2, axes: [0, 1], signs: [1, -1], sides: "−x+x+y−y" },
-    { name: "Across y", across: 1, axes: [0, 2], signs: [1, -1], sides: "−x+x+z−z" },
-    { name: "Across x", across: 0, axes: [1, 2], signs: [1, -1], sides: "−y+y+z−z" },
+    { name: "Perpendicular to z", across: 2, axes: [0, 1], signs: [1, -1], sides: "−x+x+y−y" },
+    { name: "Perpendicular to y", across: 1, axes: [0, 2], signs: [1, -1], sides: "−x+x+z−z" },
+    { name: "Perpendicular to x", across: 0, axes: [1, 2], signs: [1, -1], sides: "−y+y+z−z" },
   ]);
   // Who is on which side is a matter of patients alone.
   expect(sliceViews(EVEN, true)).toEqual(sliceViews(EVEN, false));

@@ -271,7 +271,7 @@ describe("the slider of detail", () => {
     expect(withCurve({ error: "0.1vx", triangles: 100 })).toEqual([{ text: "0.1 mm needs 410 triangles", lift: { text: "Use 410", edit: { triangles: 410, error: "0.1vx" } } }]);
     expect(withCurve({ triangles: 100 })).toEqual([{ text: "0.1 mm needs 410 triangles", lift: { text: "Use 410", edit: { triangles: 410 } } }]);
     // Also for a typed budget, if no curve gives the number.
-    expect(withCurve({ triangles: 100 }, { ...curve, byError: false } as never)).toEqual([{ text: "0.1 mm needs more triangles", lift: { text: "Allow more", edit: { error: "0.1vx" } } }]);
+    expect(withCurve({ triangles: 100 }, { ...curve, byError: false } as never)).toEqual([{ text: "0.1 mm needs more triangles", lift: { text: "Remove budget", edit: { error: "0.1vx" } } }]);
     expect(limits({ triangles: 100 }, { tolerance: 0.05 })).toEqual([]);
     expect(limits({ beta: 0.5 })).toEqual([{ text: "β = 0.5 decides", lift: { text: "Limit by triangles", edit: { triangles: { share: 0.25 } } } }]);
     const both = { error: "0.1vx", triangles: { share: 0.25 } };

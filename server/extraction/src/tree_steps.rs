@@ -10,10 +10,11 @@ use super::chunk_bytes::{self, BYTES_OF_100_COARSE_TRIANGLES, BYTES_OF_100_TRIAN
 /// The final surface is sent at once if it has at most [`Step::line_bytes`] divided by this number.
 const AT_ONCE_DIVISOR: u64 = 4;
 
-/// The first cut has [`Step::line_bytes`] divided by this number.
-const FIRST_DIVISOR: u64 = 10;
-/// Minimum bytes of the first cut: smaller ones are mostly headers.
-const MIN_FIRST_BYTES: u64 = 80 << 10;
+/// The first cut has [`Step::line_bytes`] divided by this number. At 20 Mbit/s and a round trip of 40 ms, the change is visible after 110 ms,
+/// of which the cut itself is on the line for 20 ms.
+const FIRST_DIVISOR: u64 = 30;
+/// Minimum bytes of the first cut, some 5,000 triangles. Smaller cuts show too little, and their chunks are mostly headers.
+const MIN_FIRST_BYTES: u64 = 48 << 10;
 
 /// Each further cut has the bytes of the cut before multiplied by this number.
 const GROWTH: u64 = 4;
@@ -106,6 +107,18 @@ mod tests {
             let superseded: u64 = found.iter().map(bytes).sum();
             let whole = chunk_bytes::of_triangles(expected, REGIONS, BYTES_OF_100_TRIANGLES);
             assert!(superseded * 10 <= whole * 3, "{superseded} of {whole}: {found:?}");
+        }
+    }
+
+    #[test]
+    fn the_first_cut_is_on_the_line_for_a_short_time() {
+        // 400 ms of 20 and 5 Mbit/s, and the longest time in ms. The coding for slow lines takes two thirds of the bytes.
+        for (bytes, longest) in [(1_500_000, 30), (375_000, 60)] {
+            let [first, ..] = all(bytes, 165_000)[..] else {
+                panic!("one step at {bytes} bytes in 400 ms");
+            };
+            let time = chunk_bytes::of_triangles(first, REGIONS, BYTES_OF_100_COARSE_TRIANGLES) * 400 / bytes;
+            assert!(time <= longest, "{first} triangles take {time} ms");
         }
     }
 

@@ -136,5 +136,5 @@ export class ScaleBar {
 
 function barOf(unitsPerPixel: number, unit: string, widest = WIDEST): { readonly text: string; readonly pixels: number } {
   const { length, pixels } = scaleBar(unitsPerPixel, widest);
-  return { text: `${tickText(length, roundBelow(length))} ${unit}`.trim(), pixels };
+  return { text: `${tickText(length, roundBelow(length))} ${unit === "" ? "world units" : unit}`, pixels };
 }

@@ -11,7 +11,7 @@ type AxisNumber = 0 | 1 | 2;
 export interface SliceView {
   /** The axis of the volume across the slice. */
   readonly across: AxisNumber;
-  /** `Axial`, or in a frame that is not a patient's `Across z`. */
+  /** `Axial`, or in a frame that is not a patient's `Perpendicular to z`. */
   readonly name: string;
   /** Axes of the volume along the screen's width and height. */
   readonly axes: readonly [AxisNumber, AxisNumber];
@@ -72,7 +72,7 @@ function viewOf(grid: PlacedGrid & { readonly frame?: string }, worlds: Triple, 
   const isPatient = sidesOf(frame)["+x"] !== undefined;
   const view = {
     across: axisOf(world),
-    name: isPatient ? (["Sagittal", "Coronal", "Axial"][world] ?? "") : `Across ${LETTERS[world] ?? ""}`,
+    name: isPatient ? (["Sagittal", "Coronal", "Axial"][world] ?? "") : `Perpendicular to ${LETTERS[world] ?? ""}`,
     axes,
     signs,
     onward: signOf(world),

@@ -42,6 +42,8 @@ struct Ping {
     confirmed: u64,
     /// The line's `progress` when the ping was sent.
     since: Instant,
+    /// The line's `confirmed_sent_at` when the ping was sent.
+    first_sent_at: Instant,
     sent_at: Instant,
     /// Whether the line had capacity when the ping was sent. If so, the sender rather than the line may have limited the measured rate.
     had_capacity: bool,
@@ -60,6 +62,8 @@ pub(super) struct Line {
     round_trip: Option<Duration>,
     /// When bytes were last confirmed, or when sending began again with nothing in flight.
     progress: Instant,
+    /// When the last confirmed bytes were sent, or when sending began again with nothing in flight.
+    confirmed_sent_at: Instant,
 }
 
 impl Line {
@@ -72,6 +76,7 @@ impl Line {
             rates: VecDeque::with_capacity(RATES),
             round_trip: None,
             progress: Instant::now(),
+            confirmed_sent_at: Instant::now(),
         }
     }
 
@@ -129,6 +134,7 @@ impl Line {
         let now = Instant::now();
         if self.sent == self.confirmed {
             self.progress = now;
+            self.confirmed_sent_at = now;
         }
         self.sent += bytes as u64;
         let bytes_since_ping = self.sent - self.pings.back().map_or(self.confirmed, |ping| ping.sent);
@@ -142,6 +148,7 @@ impl Line {
             sent: self.sent,
             confirmed: self.confirmed,
             since: self.progress,
+            first_sent_at: self.confirmed_sent_at,
             sent_at: now,
             had_capacity: self.sent - self.confirmed < self.window(),
         });
@@ -160,7 +167,9 @@ impl Line {
         let elapsed = |since: Instant| (now - since).max(Duration::from_micros(100));
         let round_trip = elapsed(ping.sent_at);
         self.round_trip = Some(self.round_trip.map_or(round_trip, |minimum| minimum.min(round_trip)));
-        let rate = (ping.sent - ping.confirmed) as f64 / elapsed(ping.since).as_secs_f64();
+        // A busy client answers several pings at once, so bytes had arrived before `since`. They were not sent faster than they arrived.
+        let time = elapsed(ping.since).max(ping.sent_at - ping.first_sent_at);
+        let rate = (ping.sent - ping.confirmed) as f64 / time.as_secs_f64();
         if !ping.had_capacity || rate > self.highest_rate() {
             self.rates.push_back(rate);
         }
@@ -168,6 +177,7 @@ impl Line {
             self.rates.pop_front();
         }
         self.confirmed = ping.sent;
+        self.confirmed_sent_at = ping.sent_at;
         self.progress = now;
     }
 }
@@ -237,6 +247,40 @@ mod tests {
         }
         let found = line.highest_rate();
         assert!(found > 0.2 * rate, "{found} bytes a second after a pause of the sender");
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_client_that_answers_several_pings_at_once_makes_no_line_fast() {
+        let (rate, round_trip) = (2_500_000.0, Duration::from_millis(40));
+        let (mut line, began) = (Line::new(), Instant::now());
+        let (mut free, mut last_answer) = (began, began);
+        let mut pongs: VecDeque<(Instant, u32)> = VecDeque::new();
+        while began.elapsed() < Duration::from_secs(6) {
+            while line.has_capacity() {
+                free = free.max(Instant::now()) + Duration::from_secs_f64(4096.0 / rate);
+                pongs.extend(line.record_frame(4096).map(|number| (free + round_trip, number)));
+            }
+            tokio::time::sleep(Duration::from_millis(1)).await;
+            // Drawing keeps the client busy for a while, now and then.
+            let pause = Duration::from_millis(if began.elapsed().as_secs() % 2 == 0 { 1 } else { 90 });
+            if last_answer.elapsed() >= pause {
+                last_answer = Instant::now();
+                while let Some((_, number)) = pongs.pop_front_if(|(at, _)| *at <= Instant::now()) {
+                    line.on_pong(number);
+                    // What the window allows is sent between two pongs.
+                    while line.has_capacity() {
+                        free = free.max(Instant::now()) + Duration::from_secs_f64(4096.0 / rate);
+                        pongs.extend(line.record_frame(4096).map(|number| (free + round_trip, number)));
+                    }
+                }
+            }
+            let found = line.highest_rate();
+            assert!(
+                found <= 1.25 * rate,
+                "{found} bytes a second after {:?}",
+                began.elapsed()
+            );
+        }
     }
 
     #[tokio::test(start_paused = true)]

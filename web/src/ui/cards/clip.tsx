@@ -20,7 +20,7 @@ type Axis = (typeof AXES)[number];
 const NORMALS: Readonly<Record<Axis, Vec3>> = { x: [1, 0, 0], y: [0, 1, 0], z: [0, 0, 1] };
 const PLANES = [
   { value: "none", text: "None", hint: "No plane" },
-  ...AXES.map((axis) => ({ value: axis, text: `Across ${axis}`, hint: `A plane across the world's ${axis} axis` })),
+  ...AXES.map((axis) => ({ value: axis, text: `⟂ ${axis}`, hint: `Perpendicular to the world's ${axis} axis` })),
 ];
 
 /** The world's axis that a normal lies along; `undefined` for a slanted one. */

@@ -81,7 +81,7 @@ export function pixelLimit(view: View, statistics: Statistics | undefined): Limi
   if (pixels === undefined) return { text: "The error at this view is not known yet" };
   const { error, triangles } = view;
   const text = `Error up to about ${formatPixels(pixels.within)} at this view: ${PIXEL_LIMITS[pixels.limitedBy]}`;
-  if (pixels.limitedBy === "budget") return { text, lift: { text: "Allow more", edit: { error: error ?? FIRST_ERROR } } };
+  if (pixels.limitedBy === "budget") return { text, lift: { text: "Remove budget", edit: { error: error ?? FIRST_ERROR } } };
   if (pixels.limitedBy === "error" && triangles !== undefined) return { text, lift: { text: "Refine further", edit: { triangles } } };
   return { text };
 }
@@ -115,7 +115,7 @@ function wantedLimit(view: View, statistics: Statistics, { spacing, unit }: Leng
   const needed = curve?.byError === true ? trianglesFor(curve.points, length, "threshold") : undefined;
   const text = formatLength(length, { spacing, unit });
   // Without a curve the tolerance says whether the error needs more.
-  if (needed === undefined) return error === undefined && !((statistics.tolerance ?? 0) > length) ? undefined : { text: `${text} needs more triangles`, lift: { text: "Allow more", edit: { error: error ?? `${FINE_ERROR}vx` } } };
+  if (needed === undefined) return error === undefined && !((statistics.tolerance ?? 0) > length) ? undefined : { text: `${text} needs more triangles`, lift: { text: "Remove budget", edit: { error: error ?? `${FINE_ERROR}vx` } } };
   const count = roundedUp(needed);
   if (count <= statistics.triangles) return undefined;
   const edit: Edit = { triangles: count, ...(error === undefined ? {} : { error }) };

@@ -28,7 +28,7 @@ function Slices(props: { readonly volume: VolumeInfo }) {
   return (
     <>
       <Beside volume={props.volume} />
-      <p class="note">In the picture, across the volume's own axes</p>
+      <p class="note">In the picture, along the volume's own axes</p>
       <SlicePlace axis={0} name="x" volume={props.volume} />
       <SlicePlace axis={1} name="y" volume={props.volume} />
       <SlicePlace axis={2} name="z" volume={props.volume} />
