@@ -10,7 +10,7 @@ import { difference, hasBudget, isColorAlone, isNothing, withBudget } from "../p
 import type { Capabilities, ClientMessage, Edit, GroupMessage, Question, ServerMessage, StreamMessage, View, ViewCamera } from "../protocol/types";
 import { isEqual } from "../protocol/equal";
 import { Connection, type ConnectionState } from "./connection";
-import { joining, leadingAgain, type Joined, type Leading } from "./leading";
+import { joining, leadingAgain, placeOf, type Joined, type Leading } from "./leading";
 import { Throttle } from "./throttle";
 
 /** 20 edits a second are smooth under a dragged slider; the server would merge more of them anyway. */
@@ -39,6 +39,10 @@ export interface StreamClientHandlers {
   readonly onOnlyLooks: (reason: string) => void;
   /** An edit of a surface was sent. */
   readonly onEditSent: (surface: number) => void;
+  /** Volume of the page's link, as long as none is wanted. */
+  readonly linked?: () => string | undefined;
+  /** Whether a proxy has several servers, and chooses one by the volume in the address. */
+  readonly hasSeveralServers?: () => boolean;
 }
 
 export class StreamClient {
@@ -63,14 +67,21 @@ export class StreamClient {
   private leading: Leading | undefined;
   /** Whether another member of the group has control, or will get it: then this page shows that member's view and requests nothing itself. */
   private isLed = false;
+  /** Volume in the address of this connection. */
+  private addressed: string | undefined;
+  private isStarted = false;
 
-  /** @param address as a `Connection` takes it */
+  /** @param address as a `Connection` takes it, for a volume */
   constructor(
-    address: string | (() => string | Promise<string>),
+    address: string | ((volume: string | undefined) => string | Promise<string>),
     private readonly handlers: StreamClientHandlers,
   ) {
     this.throttle = new Throttle(EDIT_INTERVAL_MS, () => this.flush());
-    this.connection = new Connection(typeof address === "string" ? () => address : address, {
+    const open = () => {
+      this.addressed = this.place;
+      return typeof address === "string" ? address : address(this.addressed);
+    };
+    this.connection = new Connection(open, {
       onOpen: () => {
         if (this.send({ type: "heartbeat" })) this.asked += 1;
         this.sendOpen();
@@ -117,7 +128,14 @@ export class StreamClient {
     this.leading = leading;
   }
 
+  /** Volume by which a proxy of several servers chooses the server of this page. In a group, it is that of the leader. */
+  get place(): string | undefined {
+    const group = this.leading ?? this.joined;
+    return group?.via ?? this.handlers.wanted().target?.volume ?? this.handlers.linked?.();
+  }
+
   start(): void {
+    this.isStarted = true;
     this.connection.start();
   }
 
@@ -155,7 +173,19 @@ export class StreamClient {
       return;
     }
     this.throttle.cancel();
-    this.sendOpen();
+    if (this.isElsewhere) this.move();
+    else this.sendOpen();
+  }
+
+  /** Whether a proxy has another server for what is wanted. */
+  private get isElsewhere(): boolean {
+    return this.isStarted && this.handlers.hasSeveralServers?.() === true && this.place !== this.addressed;
+  }
+
+  /** Connects to the server of what is wanted; `open` and the edits follow. */
+  private move(): void {
+    this.opened = false;
+    this.connection.reopen();
   }
 
   /** Other surfaces or values are wanted: sends what differs, soon. */
@@ -193,14 +223,15 @@ export class StreamClient {
     if (this.opened && this.send(question)) this.asked += 1;
   }
 
-  /** Follows a group from now on, with a name for its leader. */
-  join(group: string, name: string | undefined): void {
+  /** Follows a group from now on, with a name for its leader. `via`: the volume by which its members meet. */
+  join(group: string, name: string | undefined, via = this.addressed): void {
     this.leading = undefined;
-    this.joined = { group, ...(name === undefined ? {} : { name }) };
+    this.joined = { group, ...(name === undefined ? {} : { name }), ...placeOf(via) };
     this.isLed = true;
     this.throttle.cancel();
     this.adopt();
-    this.send(joining(this.joined));
+    if (this.isElsewhere) this.move();
+    else this.send(joining(this.joined));
   }
 
   /** Sends a message about the group. */
@@ -271,7 +302,7 @@ export class StreamClient {
 
   private receiveGroup({ key, ...message }: Extract<ServerMessage, { type: "group" }>): true {
     this.isLed = message.control !== message.you;
-    if (key !== undefined) [this.leading, this.joined] = [{ group: message.group, key }, undefined];
+    if (key !== undefined) [this.leading, this.joined] = [{ group: message.group, key, ...placeOf(this.addressed) }, undefined];
     this.handlers.onMessage(message);
     return true;
   }
