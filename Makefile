@@ -104,6 +104,7 @@ lint-text:
 	git ls-files '*.rs' | xargs rustfmt --edition 2024 --check
 	sha256sum --check --quiet $(CHECKED_DEPENDENCIES) || { echo "dependencies have changed: type 'make dependencies', and commit $(CHECKED_DEPENDENCIES)" >&2; exit 1; }
 	docs/drawings.py --check
+	docs/plan.py --check
 	tests/lint/layers.py
 	tests/lint/citations.py
 	tests/lint/unused.py

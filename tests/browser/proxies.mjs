@@ -47,8 +47,12 @@ export async function startNginx(folder, port, lines) {
   return started(spawn("nginx", ["-c", file, "-e", "stderr"], { env: PATH }), port);
 }
 
-/** The nginx of docker/nginx before two servers. */
-export function startNginxOfMany(folder, port, [first, second]) {
+/**
+ * The nginx of docker/nginx before two servers.
+ *
+ * @param more other values of the configuration
+ */
+export function startNginxOfMany(folder, port, [first, second], more = {}) {
   const { certificate, key } = makeCertificate(folder);
   const lines = ["choose.conf", "isopeel.conf"].map((name) => readFileSync(join(ROOT, "docker/nginx", name), "utf8"));
   const others = {
@@ -58,6 +62,7 @@ export function startNginxOfMany(folder, port, [first, second]) {
     "server_name volumes.example": "server_name localhost",
     "/etc/ssl/volumes.pem": certificate,
     "/etc/ssl/volumes.key": key,
+    ...more,
   };
   return startNginx(folder, port, replaced(lines.join("\n"), others));
 }

@@ -9,17 +9,29 @@ import { join } from "node:path";
 import { test } from "node:test";
 import { freePort, hasEnvoy, startEnvoyOfMany, startNginxOfMany } from "./proxies.mjs";
 
-/** A server whose answers are its number, and the name of the WebSocket that is asked for. */
+/** A server whose answers are its number; a WebSocket has it in its head. */
 async function startNumber(number, port = 0) {
   const server = createServer((_, response) => response.end(`${number}`));
-  server.on("upgrade", (_, socket) => socket.end(`HTTP/1.1 101 Switching Protocols\r\nConnection: Upgrade\r\nUpgrade: websocket\r\nserver-number: ${number}\r\n\r\n`));
+  const sockets = new Set();
+  server.on("upgrade", (_, socket) => {
+    sockets.add(socket);
+    socket.on("error", () => undefined);
+    // Closes when the other side does.
+    socket.on("end", () => socket.end()).resume();
+    socket.write(`HTTP/1.1 101 Switching Protocols\r\nConnection: Upgrade\r\nUpgrade: websocket\r\nserver-number: ${number}\r\n\r\n`);
+  });
   await new Promise((done) => server.listen(port, "127.0.0.1", done));
-  const stop = () => new Promise((done) => (server.close(done), server.closeAllConnections()));
+  const stop = () =>
+    new Promise((done) => {
+      server.close(done);
+      server.closeAllConnections();
+      for (const socket of sockets) socket.destroy();
+    });
   return { port: server.address().port, stop };
 }
 
 /** The number of the server that answers, or the status if none does. */
-function ask(port, path, { method = "GET", socket = false } = {}) {
+function ask(port, path, { method = "GET", socket = false, onOpened = (opened) => opened.destroy() } = {}) {
   const headers = socket ? { connection: "Upgrade", upgrade: "websocket", "sec-websocket-version": "13", "sec-websocket-key": "AAAAAAAAAAAAAAAAAAAAAA==" } : {};
   return new Promise((done, failed) => {
     const sent = request({ host: "127.0.0.1", port, path, method, headers, agent, rejectUnauthorized: false }, (response) => {
@@ -27,7 +39,7 @@ function ask(port, path, { method = "GET", socket = false } = {}) {
       response.on("data", (data) => (text += data));
       response.on("end", () => done(response.statusCode === 200 ? Number(text) : -response.statusCode));
     });
-    sent.on("upgrade", (response, opened) => (opened.destroy(), done(Number(response.headers["server-number"]))));
+    sent.on("upgrade", (response, opened) => (onOpened(opened), done(Number(response.headers["server-number"]))));
     sent.on("error", failed);
     sent.end();
   });
@@ -111,3 +123,26 @@ for (const [name, start, unreachable, skip] of [
     }
   });
 }
+
+test("nginx gives a volume to the next server too, if one has as many viewers as it takes", { timeout: 60_000 }, async () => {
+  const folder = mkdtempSync(join(tmpdir(), "isopeel-routes-"));
+  const port = await freePort();
+  const servers = [await startNumber(1), await startNumber(2)];
+  const ports = servers.map((server) => server.port);
+  const proxy = await startNginxOfMany(folder, port, ports, { "max_conns=1000": "max_conns=2" });
+  const sockets = [];
+  try {
+    const onOpened = (opened) => (opened.on("error", () => undefined), sockets.push(opened));
+    const view = (id) => ask(port, `/api/v1/stream?volume=${id}`, { socket: true, onOpened });
+    const numbers = [await view("head"), await view("head"), await view("head"), await view("head")];
+    const [first] = numbers;
+    assert.deepEqual(numbers, [first, first, 3 - first, 3 - first]);
+    sockets[0].destroy();
+    await until(async () => (await view("head")) === first);
+  } finally {
+    for (const socket of sockets) socket.destroy();
+    await proxy.stop();
+    await Promise.all(servers.map((server) => server.stop()));
+    rmSync(folder, { recursive: true });
+  }
+});

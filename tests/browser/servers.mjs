@@ -1,11 +1,12 @@
 /** Two servers behind a proxy, of which one is killed: docker/nginx and docker/envoy as they stand there. `make test-service` runs it. */
 
 import assert from "node:assert/strict";
+import { execFileSync } from "node:child_process";
 import { cpSync, mkdtempSync, rmSync, writeFileSync } from "node:fs";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
 import { test } from "node:test";
-import { difference, makeVolume, openPage, rested, settled, startBrowser, startServer, status, stillPicture, TIMEOUT_MS } from "./harness.mjs";
+import { BINARY, difference, makeVolume, openPage, rested, settled, startBrowser, startServer, status, stillPicture, TIMEOUT_MS } from "./harness.mjs";
 import { freePort, hasEnvoy, startEnvoyOfMany, startNginxOfMany } from "./proxies.mjs";
 
 const TOKEN = "a".repeat(48);
@@ -14,6 +15,8 @@ const BEARER = { authorization: `Bearer ${TOKEN}` };
 const VOLUMES = 8;
 /** Of figure 8: edits work again within. */
 const MUST_MS = 5000;
+/** Of all viewers, before and after. */
+const ISO = 2;
 
 /** Copies of a volume by other names, in a folder that both servers have. */
 function makeVolumes(folder) {
@@ -40,17 +43,18 @@ async function setUp(startProxy) {
   const paths = makeVolumes(folder);
   const [port, ...ports] = [await freePort(), await freePort(), await freePort()];
   const url = `https://localhost:${port}`;
-  const files = { token: join(folder, "token"), session: join(folder, "session") };
+  const files = { token: join(folder, "token"), session: join(folder, "session"), tokens: join(folder, "tokens") };
   writeFileSync(files.token, TOKEN);
   writeFileSync(files.session, "b".repeat(48));
-  const common = ["--public-url", url, "--trusted-proxy", "127.0.0.1", "--token-file", files.token, "--session-key-file", files.session, "--job-server", "first"];
+  const named = execFileSync(BINARY, ["token", "create", "--state-folder", files.tokens, "--user", "ann", "--role", "edit"], { stdio: ["ignore", "pipe", "ignore"] });
+  const common = ["--public-url", url, "--trusted-proxy", "127.0.0.1", "--token-file", files.token, "--session-key-file", files.session, "--token-folder", files.tokens, "--job-server", "first"];
   const own = [["--state-folder", join(folder, "state"), "--uploads", join(folder, "uploads")], []];
   const start = (at) => startServer(paths, { port: ports[at], options: [...common, ...own[at]] });
   const servers = [await start(0), await start(1)];
   const proxy = await startProxy(folder, port, ports);
   const browser = await startBrowser();
   const context = await browser.newContext({ ignoreHTTPSErrors: true });
-  const at = { url, servers, start, context, proxy };
+  const at = { url, servers, start, context, proxy, named: named.toString().trim() };
   at.api = (path, options = {}) => context.request.fetch(`${url}/api/v1/${path}`, { ...options, headers: { ...BEARER, ...options.headers } });
   at.open = (volume) => openPage(context, `${url}/#v=1&volume=${volume}`);
   at.end = async () => {
@@ -134,8 +138,10 @@ async function jobsAndUploads(at) {
   assert.match(unknown.detail, /an upload belongs to the server that took it/);
 }
 
-/** A token for a frame that one server has made is valid at the other one. */
-async function tokensOfFrames(at) {
+/** Named tokens are valid at both servers, and so are tokens for frames that one of them has made. */
+async function tokens(at) {
+  const ann = { authorization: `Bearer ${at.named}` };
+  for (const { url } of at.servers) assert.equal((await fetch(`${url}/api/v1/volumes`, { headers: ann })).status, 200);
   const lent = await fetch(`${at.servers[0].url}/api/v1/embed-tokens`, { method: "POST", headers: { ...BEARER, "content-type": "application/json" }, body: "{}" });
   const { token } = await lent.json();
   for (const { url } of at.servers) {
@@ -168,7 +174,11 @@ async function kill(at, dying, [volume, other]) {
   const pages = [];
   for (const name of [volume, volume, other]) pages.push(await at.open(name));
   const before = [];
-  for (const { page } of pages) before.push(await rested(page));
+  for (const { page } of pages) {
+    await setIso(page, ISO);
+    await settled(page, (now, iso) => now.edit.iso === iso, ISO);
+    before.push(await rested(page));
+  }
   const counts = await Promise.all(at.servers.map(viewers));
   assert.deepEqual(counts, dying === 0 ? [2, 1] : [1, 2], "viewers of a volume are at one server");
   const watches = pages.map(({ page }) => watch(page));
@@ -193,8 +203,8 @@ async function kill(at, dying, [volume, other]) {
     assert.deepEqual({ ...now.edit, iso: 0 }, { ...before[n].edit, iso: 0 }, "all other values are kept");
   }
   // The same view as before is the same picture.
-  await setIso(pages[0].page, before[0].edit.iso);
-  await settled(pages[0].page, (now, iso) => now.edit.iso === iso, before[0].edit.iso);
+  await setIso(pages[0].page, ISO);
+  await settled(pages[0].page, (now, iso) => now.edit.iso === iso, ISO);
   assert.equal((await rested(pages[0].page)).triangles, before[0].triangles);
   pictures.push(await stillPicture(pages[0].page));
   const share = difference(...pictures);
@@ -232,7 +242,7 @@ for (const [name, startProxy, skip] of [
       await page.page.close();
       const volumes = await volumesOfEach(at);
       await jobsAndUploads(at);
-      await tokensOfFrames(at);
+      await tokens(at);
       await groupsMeet(at, ...volumes);
       for (const dying of [1, 0]) {
         const order = dying === 0 ? volumes : [...volumes].reverse();
