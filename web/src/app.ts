@@ -190,8 +190,7 @@ export class App {
   private makeClient(): StreamClient {
     return new StreamClient((volume) => streamAddress(streamUrl(this.base, volume)), {
       wanted: () => wantedOf(this.store.state),
-      linked: () => volumeOf(window.location.hash),
-      hasSeveralServers: () => hasSeveralServers(this.store.viewer),
+      linked: () => volumeOf(window.location.hash), hasSeveralServers: () => hasSeveralServers(this.store.viewer),
       onState: (state, reason) => {
         this.store.dispatch({ type: "connection", state });
         this.connecting.changed(state, reason);

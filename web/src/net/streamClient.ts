@@ -130,8 +130,7 @@ export class StreamClient {
 
   /** Volume by which a proxy of several servers chooses the server of this page. In a group, it is that of the leader. */
   get place(): string | undefined {
-    const group = this.leading ?? this.joined;
-    return group?.via ?? this.handlers.wanted().target?.volume ?? this.handlers.linked?.();
+    return (this.leading ?? this.joined)?.via ?? this.handlers.wanted().target?.volume ?? this.handlers.linked?.();
   }
 
   start(): void {
@@ -173,19 +172,15 @@ export class StreamClient {
       return;
     }
     this.throttle.cancel();
-    if (this.isElsewhere) this.move();
-    else this.sendOpen();
+    if (!this.moved()) this.sendOpen();
   }
 
-  /** Whether a proxy has another server for what is wanted. */
-  private get isElsewhere(): boolean {
-    return this.isStarted && this.handlers.hasSeveralServers?.() === true && this.place !== this.addressed;
-  }
-
-  /** Connects to the server of what is wanted; `open` and the edits follow. */
-  private move(): void {
+  /** Connects to the server that a proxy has for what is wanted, if that is another one; `open` and the edits follow. Returns whether it does. */
+  private moved(): boolean {
+    if (!this.isStarted || this.handlers.hasSeveralServers?.() !== true || this.place === this.addressed) return false;
     this.opened = false;
     this.connection.reopen();
+    return true;
   }
 
   /** Other surfaces or values are wanted: sends what differs, soon. */
@@ -230,8 +225,7 @@ export class StreamClient {
     this.isLed = true;
     this.throttle.cancel();
     this.adopt();
-    if (this.isElsewhere) this.move();
-    else this.send(joining(this.joined));
+    if (!this.moved()) this.send(joining(this.joined));
   }
 
   /** Sends a message about the group. */
