@@ -67,9 +67,10 @@ export class StreamClient {
   private leading: Leading | undefined;
   /** Whether another member of the group has control, or will get it: then this page shows that member's view and requests nothing itself. */
   private isLed = false;
-  /** Volume in the address of this connection. */
-  private addressed: string | undefined;
-  private isStarted = false;
+  /** Whether this connection leads the group that the page leads. */
+  private isLeading = false;
+  /** Volume in the address of this connection; null before the first one. */
+  private addressed: string | undefined | null = null;
 
   /** @param address as a `Connection` takes it, for a volume */
   constructor(
@@ -78,8 +79,8 @@ export class StreamClient {
   ) {
     this.throttle = new Throttle(EDIT_INTERVAL_MS, () => this.flush());
     const open = () => {
-      this.addressed = this.place;
-      return typeof address === "string" ? address : address(this.addressed);
+      const place = (this.addressed = this.place);
+      return typeof address === "string" ? address : address(place);
     };
     this.connection = new Connection(open, {
       onOpen: () => {
@@ -92,7 +93,7 @@ export class StreamClient {
         if (this.opened) this.handlers.onChunk(frame);
       },
       onState: (state, reason) => {
-        if (state !== "connected") this.opened = false;
+        if (state !== "connected") this.opened = this.isLeading = false;
         this.handlers.onState(state, reason);
       },
     });
@@ -134,7 +135,6 @@ export class StreamClient {
   }
 
   start(): void {
-    this.isStarted = true;
     this.connection.start();
   }
 
@@ -177,7 +177,7 @@ export class StreamClient {
 
   /** Connects to the server that a proxy has for what is wanted, if that is another one; `open` and the edits follow. Returns whether it does. */
   private moved(): boolean {
-    if (!this.isStarted || this.handlers.hasSeveralServers?.() !== true || this.place === this.addressed) return false;
+    if (this.addressed === null || this.handlers.hasSeveralServers?.() !== true || this.place === this.addressed) return false;
     this.opened = false;
     this.connection.reopen();
     return true;
@@ -219,7 +219,7 @@ export class StreamClient {
   }
 
   /** Follows a group from now on, with a name for its leader. `via`: the volume by which its members meet. */
-  join(group: string, name: string | undefined, via = this.addressed): void {
+  join(group: string, name: string | undefined, via = this.addressed ?? undefined): void {
     this.leading = undefined;
     this.joined = { group, ...(name === undefined ? {} : { name }), ...placeOf(via) };
     this.isLed = true;
@@ -230,7 +230,7 @@ export class StreamClient {
 
   /** Sends a message about the group. */
   say(message: GroupMessage): void {
-    if (message.type === "leave") [this.joined, this.leading] = [undefined, undefined];
+    if (message.type === "leave") [this.joined, this.leading, this.isLeading] = [undefined, undefined, false];
     this.send(message);
   }
 
@@ -296,14 +296,14 @@ export class StreamClient {
 
   private receiveGroup({ key, ...message }: Extract<ServerMessage, { type: "group" }>): true {
     this.isLed = message.control !== message.you;
-    if (key !== undefined) [this.leading, this.joined] = [{ group: message.group, key, ...placeOf(this.addressed) }, undefined];
+    if (key !== undefined) [this.leading, this.joined, this.isLeading] = [{ group: message.group, key, ...placeOf(this.addressed ?? undefined) }, undefined, true];
     this.handlers.onMessage(message);
     return true;
   }
 
   /** The page has left its group; the shown surfaces stay. */
   private parted(message: StreamMessage): true {
-    [this.joined, this.leading, this.isLed] = [undefined, undefined, false];
+    [this.joined, this.leading, this.isLed, this.isLeading] = [undefined, undefined, false, false];
     this.handlers.onMessage(message);
     if (!this.opened) this.sendOpen();
     return true;
@@ -339,8 +339,8 @@ export class StreamClient {
     // An edit without values has the first surface made.
     if (this.sent.has(0) && !edits.has(0)) this.sendEdit(0, {});
     for (const [number, edit] of edits) this.sendEdit(number, edit);
-    // Only now, as the page has restored its earlier state.
-    this.leadAgain();
+    // Only now, as the page has restored its earlier state. Who leads on this connection already would end the group by that.
+    if (!this.isLeading) this.leadAgain();
   }
 
   /** Another member decides: the server has what is shown. */
