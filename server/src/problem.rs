@@ -123,7 +123,10 @@ impl ApiError {
 
     /// Returns the error for an unknown volume.
     pub fn unknown_volume(id: &str) -> Self {
-        let message = format!("no volume has the id {id:?}, /api/v1/volumes lists those there are");
+        let message = format!(
+            "no volume has the id {id:?}, /api/v1/volumes lists those there are{}",
+            of_another_server(id)
+        );
         Self::new(StatusCode::NOT_FOUND, "unknown-volume", message)
     }
 
@@ -155,6 +158,14 @@ impl ApiError {
         } else {
             tracing::debug!(code = self.code, "{why}");
         }
+    }
+}
+
+/// Returns what to add to a message about an unknown volume: if it was uploaded, one of several servers has it.
+pub fn of_another_server(volume: &str) -> &'static str {
+    match volume.starts_with("upload-") {
+        true => "; an upload belongs to the server that took it",
+        false => "",
     }
 }
 

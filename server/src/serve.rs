@@ -65,6 +65,8 @@ pub struct Config {
     pub uploads: Option<Uploads>,
     /// Folder and limits of batch jobs; `None`: the server has no batch jobs.
     pub jobs: Option<(StateFolder, Limits)>,
+    /// Name of the server that takes batch jobs and uploads, if there are several behind a proxy.
+    pub job_server: Option<Arc<str>>,
     /// Folder for spooled exports of slow clients; `None`: the folder for temporary files.
     pub spool: Option<SpoolFolder>,
     /// Set before the shutdown. The server then still answers requests, but `/readyz` reports that clients should use another server.
@@ -88,6 +90,7 @@ impl Config {
             metrics: None,
             uploads: None,
             jobs: None,
+            job_server: None,
             spool: None,
             is_draining: Arc::default(),
             grace: SHUTDOWN_GRACE,
@@ -138,6 +141,7 @@ pub async fn run(
         connections: limits,
         metrics: metrics_listener,
         jobs,
+        job_server,
         uploads,
         spool,
         is_draining,
@@ -157,6 +161,7 @@ pub async fn run(
         None => None,
     };
     let api = ApiState::new(catalog, devices.clone(), access.clone()).with_jobs(jobs.clone());
+    let api = api.with_job_server(job_server);
     let api = (api.with_uploads(uploads.clone()).with_spool(spool)).with_draining(is_draining);
     let proxies = Arc::clone(access.proxies());
     let _metrics_task = serve_metrics(metrics_listener, api.clone(), limits, stop.clone());

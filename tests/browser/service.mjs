@@ -1,15 +1,14 @@
 /** What docs/operations.md has of nginx and systemd, as it stands there. `make test-service` runs it; it takes nginx, openssl and systemd-analyze. */
 
 import assert from "node:assert/strict";
-import { execFileSync, spawn } from "node:child_process";
+import { execFileSync } from "node:child_process";
 import { mkdtempSync, readFileSync, rmSync, writeFileSync } from "node:fs";
-import { createServer } from "node:net";
 import { tmpdir } from "node:os";
 import { join, resolve } from "node:path";
 import { test } from "node:test";
 import { BINARY, makeVolume, openPage, settled, startBrowser, startServer, TIMEOUT_MS } from "./harness.mjs";
+import { freePort, makeCertificate, startNginx } from "./proxies.mjs";
 
-const PATH = { ...process.env, PATH: `${process.env.PATH}:/usr/sbin` };
 const PART_BYTES = 2 << 20;
 
 /** A block of the page, with other values in place of some, each of which is there once. */
@@ -23,19 +22,9 @@ function documented(language, others) {
   }, block);
 }
 
-/** A port that nobody has now. */
-const freePort = () =>
-  new Promise((done) => {
-    const server = createServer().listen(0, "127.0.0.1", () => {
-      const { port } = server.address();
-      server.close(() => done(port));
-    });
-  });
-
 /** An nginx with the lines of the page. */
-async function startNginx(folder, port, serverPort) {
-  const [certificate, key] = ["lab.pem", "lab.key"].map((name) => join(folder, name));
-  execFileSync("openssl", ["req", "-x509", "-newkey", "rsa:2048", "-nodes", "-subj", "/CN=localhost", "-days", "1", "-keyout", key, "-out", certificate], { stdio: "ignore" });
+function startDocumentedNginx(folder, port, serverPort) {
+  const { certificate, key } = makeCertificate(folder);
   const site = documented("nginx", {
     "listen 443 ssl": `listen 127.0.0.1:${port} ssl`,
     "server_name lab.example": "server_name localhost",
@@ -43,21 +32,7 @@ async function startNginx(folder, port, serverPort) {
     "/etc/ssl/lab.key": key,
     "127.0.0.1:8417": `127.0.0.1:${serverPort}`,
   });
-  const paths = ["client_body", "proxy", "fastcgi", "uwsgi", "scgi"].map((name) => `${name}_temp_path ${join(folder, name)};`).join("\n");
-  const file = join(folder, "nginx.conf");
-  writeFileSync(file, `daemon off;\npid ${join(folder, "pid")};\nevents {}\nhttp {\naccess_log off;\n${paths}\n${site}}\n`);
-  const child = spawn("nginx", ["-c", file, "-e", "stderr"], { env: PATH });
-  let log = "";
-  child.stderr.on("data", (data) => (log += data));
-  child.on("error", (error) => (log += error.message));
-  for (const began = Date.now(); ; ) {
-    const answer = await fetch(`http://127.0.0.1:${port}/`).catch(() => undefined);
-    // It speaks, and asks for TLS.
-    if (answer?.status === 400) break;
-    assert.ok(child.exitCode === null && Date.now() - began < 10_000, `nginx does not answer: ${log}`);
-    await new Promise((done) => setTimeout(done, 50));
-  }
-  return { log: () => log, stop: () => new Promise((done) => (child.on("exit", done), child.kill())) };
+  return startNginx(folder, port, site);
 }
 
 test("the viewer works behind nginx, and what is large or takes long comes through", { timeout: 4 * TIMEOUT_MS }, async () => {
@@ -66,7 +41,7 @@ test("the viewer works behind nginx, and what is large or takes long comes throu
   const url = `https://localhost:${port}/volumes`;
   const options = ["--public-url", url, "--trusted-proxy", "127.0.0.1", "--uploads", join(folder, "uploads"), "--state-folder", join(folder, "state")];
   const server = await startServer([volume.path], { options });
-  const nginx = await startNginx(folder, port, server.port);
+  const nginx = await startDocumentedNginx(folder, port, server.port);
   const browser = await startBrowser();
   try {
     const context = await browser.newContext({ ignoreHTTPSErrors: true });

@@ -8,6 +8,7 @@ target/kubernetes-venv. No cluster is asked.
 """
 
 import argparse
+import re
 import shutil
 import subprocess
 import sys
@@ -71,8 +72,35 @@ def check(name, objects):
     if pod["terminationGracePeriodSeconds"] <= drain:
         wrong.append(f"the grace period is {pod['terminationGracePeriodSeconds']} s, expected more than drain, {drain} s")
     has_gpu = "nvidia.com/gpu" in container["resources"]["limits"]
-    if has_gpu != (name != "base") or container["image"].endswith("-gpu") != has_gpu:
+    if has_gpu != (name in {"gpu", "example"}) or container["image"].endswith("-gpu") != has_gpu:
         wrong.append(f"image {container['image']}, GPU {has_gpu}")
+    mounts = [mount["mountPath"] for mount in container["volumeMounts"]]
+    paths = re.findall(r'^(?:token-file|token-folder|session-key-file) = "(.*)"', text, re.MULTILINE)
+    wrong += [f"isopeel.toml names {path}, which no mount has" for path in paths if not any(path.startswith(mount) for mount in mounts)]
+    return wrong
+
+
+def check_many(objects):
+    """Checks the parts of several servers: what is hashed, and where jobs are. Returns what is wrong."""
+    named = {(item["kind"], item["metadata"]["name"]): item for item in objects}
+    wrong = []
+    if named["StatefulSet", "isopeel"]["spec"]["replicas"] < 2:
+        wrong.append("many has one replica, expected several")
+    hashed = named["Ingress", "isopeel"]["metadata"]["annotations"]["nginx.ingress.kubernetes.io/upstream-hash-by"]
+    variables = re.findall(r"^map \S+ (\$\w+) ", (ROOT / "docker" / "nginx" / "choose.conf").read_text(), re.MULTILINE)
+    if hashed not in variables:
+        wrong.append(f"the ingress hashes {hashed}, expected a variable of docker/nginx/choose.conf: {', '.join(variables)}")
+    pod = named["Service", "isopeel-jobs"]["spec"]["selector"]["statefulset.kubernetes.io/pod-name"]
+    config = next(item for item in objects if item["kind"] == "ConfigMap")["data"]["isopeel.toml"]
+    if f'job-server = "{pod}"' not in config:
+        wrong.append(f"isopeel-jobs is pod {pod}, which isopeel.toml does not name")
+    base = [line for line in (FOLDER / "base" / "isopeel.toml").read_text().splitlines() if line and not line.startswith("#")]
+    wrong += [f"isopeel.toml of many lacks {line}" for line in base if line not in config]
+    for (kind, name), item in named.items():
+        if kind == "Ingress":
+            path = item["spec"]["rules"][0]["http"]["paths"][0]
+            if ("Service", path["backend"]["service"]["name"]) not in named:
+                wrong.append(f"the ingress {name} leads to no service")
     return wrong
 
 
@@ -83,16 +111,21 @@ def check_readme():
         return []
     lines = (ROOT / "docker" / "README.md").read_text().splitlines()
     lines = [line.strip() for line in lines if line.startswith("    kubectl") and " create " in line and " exec " not in line]
-    wrong = [] if len(lines) == 2 else [f"docker/README.md has {len(lines)} lines that create objects, expected a namespace and a secret"]
+    # The folder of the lines is that of the repository.
+    lines = [line.split(" --dry-run")[0].replace("=docker/", f"={ROOT}/docker/") for line in lines]
+    wrong = [] if len(lines) == 5 else [f"docker/README.md has {len(lines)} lines that create objects, expected a namespace, three secrets and a map"]
     with tempfile.TemporaryDirectory() as folder:
-        (Path(folder) / "token").write_text("a token")
+        for name in ("token", "key", "tokens.json"):
+            (Path(folder) / name).write_text("a token")
         for line in lines:
             made = subprocess.run([*line.split(), "--dry-run=client", "--output=yaml"], cwd=folder, capture_output=True, text=True)
-            if made.returncode != 0 or ("secret" in line and "token: YSB0b2tlbg==" not in made.stdout):
+            if made.returncode != 0 or ("secret" in line and ": YSB0b2tlbg==" not in made.stdout):
                 wrong.append(f"{line}: {made.stderr}{made.stdout}")
-    secret = next((line.split()[line.split().index("generic") + 1] for line in lines if " generic " in line), None)
-    if secret not in (FOLDER / "base" / "statefulset.yaml").read_text():
-        wrong.append(f"docker/README.md makes the secret {secret}, which the pod does not name")
+    pods = "".join((FOLDER / name).read_text() for name in ("base/statefulset.yaml", "many/kustomization.yaml"))
+    for words in (line.split() for line in lines if " generic " in line):
+        secret = words[words.index("generic") + 1]
+        if f"secretName: {secret}," not in pods:
+            wrong.append(f"docker/README.md makes the secret {secret}, which no pod names")
     print(f"{len(lines)} lines of docker/README.md that create objects: without a cluster")
     return wrong
 
@@ -106,7 +139,7 @@ def main():
     except ImportError:
         install()
     failed = False
-    for name in ("base", "gpu", "example"):
+    for name in ("base", "gpu", "example", "many"):
         rendered = subprocess.run([*command, FOLDER / name], check=True, capture_output=True, text=True).stdout
         objects = [document for document in yaml.safe_load_all(rendered) if document]
         for version in VERSIONS:
@@ -116,7 +149,7 @@ def main():
                 except kubernetes_validate.ValidationError as error:
                     failed = True
                     print(f"{name}: {item['kind']} in {version}: {error.message}", file=sys.stderr)
-        for wrong in check(name, {item["kind"]: item for item in objects}):
+        for wrong in check(name, {item["kind"]: item for item in objects}) + (check_many(objects) if name == "many" else []):
             failed = True
             print(f"{name}: {wrong}", file=sys.stderr)
         print(f"{name}: {', '.join(item['kind'] for item in objects)}: Kubernetes {', '.join(VERSIONS)}")

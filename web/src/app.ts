@@ -27,7 +27,7 @@ import type { Storyteller } from "./wiring/storyteller";
 import { pixelRatio } from "./scene/quality";
 import { SurfaceRenderer } from "./scene/renderer";
 import { withRanges } from "./state/featureRanges";
-import { isAboutGroup } from "./state/group";
+import { isAboutGroup, volumeOf } from "./state/group";
 import { lengthScale } from "./state/lengths";
 import { decodeLink, encodeLink, firstLink, linkState, type Link } from "./state/link";
 import type { StateEvent } from "./state/reduce";
@@ -36,7 +36,7 @@ import { Store } from "./state/store";
 import { isAboutQuestion } from "./state/answers";
 import { distancesOf } from "./state/distances";
 import { shownErrors } from "./state/shownErrors";
-import { isCameraAwaited, isFollowingCamera, isFrameDue, isWorking, showsFinal } from "./state/viewer";
+import { hasSeveralServers, isCameraAwaited, isFollowingCamera, isFrameDue, isWorking, showsFinal } from "./state/viewer";
 import type { UserEvent } from "./state/work";
 import { SlicePlanes, slicesWanted } from "./wiring/slicePlanes";
 import { Together } from "./wiring/together";
@@ -188,8 +188,9 @@ export class App {
   }
 
   private makeClient(): StreamClient {
-    return new StreamClient(() => streamAddress(streamUrl(this.base)), {
+    return new StreamClient((volume) => streamAddress(streamUrl(this.base, volume)), {
       wanted: () => wantedOf(this.store.state),
+      linked: () => volumeOf(window.location.hash), hasSeveralServers: () => hasSeveralServers(this.store.viewer),
       onState: (state, reason) => {
         this.store.dispatch({ type: "connection", state });
         this.connecting.changed(state, reason);

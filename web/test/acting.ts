@@ -109,7 +109,7 @@ export class ActingPage {
   readonly store = new ActingStore();
   readonly client: StreamClient;
 
-  constructor(url: string, handlers: Partial<StreamClientHandlers> = {}) {
+  constructor(url: string | ((volume: string | undefined) => string), handlers: Partial<StreamClientHandlers> = {}) {
     this.client = new StreamClient(url, {
       wanted: () => wantedOf(this.store.state),
       onState: () => undefined,

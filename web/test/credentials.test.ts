@@ -51,6 +51,15 @@ describe("a token that was handed over", () => {
     ]);
   });
 
+  it("stands in the address of no stream, which has the volume for a proxy of several servers", async () => {
+    const { hold, streamAddress, streamUrl } = await import("../src/net/credentials");
+    const stream = streamUrl(BASE, "ct head");
+    expect(streamAddress(stream)).toBe(`${STREAM.href}?volume=ct+head`);
+    await hold(BASE, "secret");
+    expect(await streamAddress(stream)).toBe(`${STREAM.href}?volume=ct+head&ticket=once`);
+    expect(asked.at(-1)?.path).toBe(`${BASE.href}api/v1/tickets?volume=ct+head`);
+  });
+
   it("stays where the next one is not taken", async () => {
     const { hold, request } = await import("../src/net/credentials");
     await hold(BASE, "first");

@@ -393,6 +393,8 @@ export class FixtureServer {
   nearest: Probed["nearest"] = { distance: 0.2, smoothness: 0.5, feature: 3, blended: 0.4, importance: 0.3, leaf: { kind: "tree", level: 2, error: 0.05 }, part: 3, partArea: 120 };
   /** All messages of clients, in order. */
   readonly received: ClientMessage[] = [];
+  /** Queries of the addresses at which streams were opened, in order. */
+  readonly queries: string[] = [];
   /** A client asks for signs of life. */
   onHeartbeat: (connection: { send: (message: ServerMessage) => void }) => void = () => undefined;
   /** `step` is understood. */
@@ -417,6 +419,7 @@ export class FixtureServer {
       steps,
       fields: fields.map((f) => f.name),
       notice,
+      jobServer: null,
     }));
     response.setHeader("content-type", "application/json");
     response.end(JSON.stringify(list));
@@ -425,7 +428,9 @@ export class FixtureServer {
 
   /** Upgrades a connection to the stream. */
   upgrade(request: IncomingMessage, socket: Duplex, head: Buffer): void {
-    if (request.url !== "/api/v1/stream") return;
+    const { pathname, search } = new URL(request.url ?? "", "http://localhost");
+    if (pathname !== "/api/v1/stream") return;
+    this.queries.push(search);
     this.sockets.handleUpgrade(request, socket, head, (ws) => {
       // The encoder is WebAssembly, compiled once.
       void MeshoptEncoder.ready.then(() => new Viewer(ws, this));

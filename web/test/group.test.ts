@@ -3,7 +3,7 @@ import { afterEach, beforeEach, describe, expect, test, vi } from "vitest";
 import { WebSocket, WebSocketServer, type WebSocket as Socket } from "ws";
 import { keepLeading, takeLeading } from "../src/net/leading";
 import type { Group, ServerMessage } from "../src/protocol/types";
-import { barText, groupLink, groupNews, groupOf } from "../src/state/group";
+import { barText, groupLink, groupNews, groupOf, volumeOf } from "../src/state/group";
 import { ActingPage } from "./acting";
 import { CAPABILITIES, OPENING, VOLUMES } from "./fixture";
 
@@ -14,7 +14,14 @@ describe("a group in words and links", () => {
     const link = groupLink("http://host:1/x?y#token=secret", ID);
     expect(link).toBe(`http://host:1/x?y#follow=${ID}`);
     expect(groupOf(new URL(link).hash)).toBe(ID);
-    for (const hash of ["", "#v=1&volume=a", `#follow=${ID}0`, "#follow=../x"]) expect(groupOf(hash)).toBeUndefined();
+    for (const hash of ["", "#v=1&volume=a", `#follow=${ID}0`, "#follow=../x", `#follow=${ID}&volume=a&x=b`]) expect(groupOf(hash)).toBeUndefined();
+  });
+
+  test("of several servers a link has the volume by which a proxy finds the group's", () => {
+    const link = groupLink("http://host:1/x", ID, "ct head");
+    expect(link).toBe(`http://host:1/x#follow=${ID}&volume=ct%20head`);
+    expect([groupOf(new URL(link).hash), volumeOf(new URL(link).hash)]).toEqual([ID, "ct head"]);
+    expect(["", `#follow=${ID}`, "#v=1&volume=a&iso=2"].map(volumeOf)).toEqual([undefined, undefined, "a"]);
   });
 
   test("what is new is said once", () => {
@@ -56,6 +63,8 @@ describe("the group that a tab leads", () => {
     expect(takeLeading()).toBeUndefined();
     keepLeading(undefined);
     expect(stored.size).toBe(0);
+    keepLeading({ ...leading, via: "head" }, 1000);
+    expect(takeLeading(60_999)).toEqual({ ...leading, via: "head" });
     keepLeading(leading, 1000);
     expect(takeLeading(60_999)).toEqual(leading);
     expect(stored.size).toBe(0);
@@ -165,6 +174,8 @@ describe("a client that follows", () => {
     await vi.waitFor(() => expect(page.client.ready).toBe(true));
     page.edit({ iso: 8 });
     await vi.waitFor(() => expect(said.at(-1)).toEqual({ type: "edit", iso: 8 }));
+    // It leads already: to lead once more would end the group.
+    expect(said.map(({ type }) => type)).not.toContain("lead");
     page.client.restart();
     await vi.waitFor(() => expect(said.at(-1)?.type).toBe("open"), 5000);
     const before = said.length;

@@ -29,7 +29,7 @@ describe("time steps", () => {
   });
 
   test("may have appeared since", () => {
-    const summary = { id: BALL.id, title: "", dims: [2, 2, 2], steps: 9, fields: [], notice: null } as const;
+    const summary = { id: BALL.id, title: "", dims: [2, 2, 2], steps: 9, fields: [], notice: null, jobServer: null } as const;
     expect([stepCount(known), stepCount({ ...known, volumes: [summary] })]).toEqual([6, 9]);
   });
 

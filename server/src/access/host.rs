@@ -48,6 +48,15 @@ impl PublicUrl {
         &self.origin
     }
 
+    /// Returns port and path of the address, in characters that the name of a cookie may have.
+    pub(super) fn place(&self) -> String {
+        let uri: Uri = self.url.parse().unwrap_or_default();
+        let port = uri.port_u16().unwrap_or(if self.is_https() { 443 } else { 80 });
+        let path = uri.path().trim_end_matches('/');
+        let path = path.chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '-' });
+        format!("{port}{}", path.collect::<String>())
+    }
+
     /// Whether the address has the scheme `https`.
     pub fn is_https(&self) -> bool {
         self.url.starts_with("https:")
@@ -133,6 +142,19 @@ fn host_of(authority: &Authority) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_place_of_an_address_is_its_port_and_path() {
+        for (url, expected) in [
+            ("https://volumes.example", "443"),
+            ("http://volumes.example/", "80"),
+            ("https://volumes.example:8443", "8443"),
+            ("https://lab.example/a/volumes/", "443-a-volumes"),
+            ("https://lab.example/a.b;c", "443-a-b-c"),
+        ] {
+            assert_eq!(url.parse::<PublicUrl>().expect("a URL").place(), expected);
+        }
+    }
 
     fn hosts(listen: &str, public: &[&str]) -> AllowedHosts {
         let public: Vec<_> = public.iter().map(|url| url.parse().expect("a URL")).collect();

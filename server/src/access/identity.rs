@@ -63,6 +63,15 @@ impl Delegated {
     }
 }
 
+/// What an identity was proved by.
+#[derive(Clone, Debug)]
+pub(super) enum Credential {
+    Start,
+    Named(Arc<NamedToken>),
+    SignedIn(SignedIn),
+    Delegated,
+}
+
 impl Identity {
     /// Returns the identity of the user who started the server. `token` is the public name of the credential.
     pub(super) fn of_start(token: &str) -> Self {
@@ -127,6 +136,16 @@ impl Identity {
     /// Whether the token is a named token of the state folder.
     pub(super) fn is_named(&self) -> bool {
         matches!(self.validity, Validity::Named(..))
+    }
+
+    /// Returns what this identity was proved by.
+    pub(super) fn credential(&self) -> Credential {
+        match &self.validity {
+            Validity::Always => Credential::Start,
+            Validity::Named(token, _) => Credential::Named(Arc::clone(token)),
+            Validity::SignedIn(session) => Credential::SignedIn(session.clone()),
+            Validity::Delegated(_) => Credential::Delegated,
+        }
     }
 
     /// Returns the same identity with the address that a request comes from.

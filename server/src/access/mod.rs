@@ -5,6 +5,7 @@
 //! - It carries a `proof` of its sender (`identity`): a `token`, a session or a ticket. A token is the start token, a token of the state
 //!   folder (`named`, `watched`) or a delegated one (`delegated`). A session (`signed_in`) begins with a sign-in through an OpenID
 //!   Connect issuer (`oidc`, `sign_in`). A `ticket` is for a stream only; a page with a token or a session requests the ticket first.
+//!   Servers that share a key accept each other's sessions and delegated tokens (`sealed`).
 //! - The sender has a `role` that allows the request.
 //! - The rate limits (`rate`) of the token and of the `peer` are not exceeded.
 //!
@@ -24,6 +25,7 @@ mod policy;
 mod proof;
 mod rate;
 mod role;
+mod sealed;
 mod seats;
 mod sign_in;
 mod signed_in;
@@ -45,6 +47,7 @@ pub use peer::{PeerAddress, TrustedProxy, counted_as, is_trusted};
 pub use policy::content_security_policy;
 pub use rate::Rates;
 pub use role::{Role, Roles};
+pub use sealed::SessionKey;
 pub use seats::{NoSeat, Occupant, Seat, SeatLimits, Seats, Share};
 pub use ticket::LIFETIME as TICKET_LIFETIME;
 pub use token::{Token, TokenError};
@@ -86,7 +89,10 @@ impl Access {
             origins: origins.into(),
             frames: Arc::default(),
             public_origins: public.iter().map(|url| url.origin().clone()).collect(),
-            cookies: CookieFactory::new(listen.port(), public.first().is_some_and(PublicUrl::is_https)),
+            cookies: match public.first() {
+                Some(url) => CookieFactory::new(url.place(), url.is_https()),
+                None => CookieFactory::new(listen.port().to_string(), false),
+            },
             authenticator: None,
             tickets: Tickets::default(),
             rates: None,
@@ -115,6 +121,15 @@ impl Access {
     pub fn with_named(mut self, tokens: &TokenWatch) -> Self {
         if let Some(authenticator) = &mut self.authenticator {
             authenticator.add_named(tokens.tokens());
+        }
+        self
+    }
+
+    /// Accepts the sessions and delegated tokens of all servers that have this key. Has no effect on a server without authentication.
+    #[must_use]
+    pub fn with_session_key(mut self, key: Option<&SessionKey>) -> Self {
+        if let (Some(authenticator), Some(key)) = (&mut self.authenticator, key) {
+            authenticator.share(key);
         }
         self
     }

@@ -88,6 +88,9 @@ pub enum TokenFileError {
     /// Other users of the machine can write to the file, and so could give themselves access.
     #[error("tokens {} may be written by other users, expected its owner alone: chmod 600", .0.display())]
     Writable(PathBuf),
+    /// Other users of the machine can replace the file.
+    #[error("token folder {} may be written by other users, expected its owner alone: chmod o-w", .0.display())]
+    WritableFolder(PathBuf),
     /// The name of the user is not valid.
     #[error("user {0:?}, expected 1 to {MAX_USER} letters, digits and signs of . _ @ -")]
     User(String),
@@ -142,6 +145,23 @@ impl TokenFile {
             folder: folder.to_owned(),
             path: folder.join(FILE),
         }
+    }
+
+    /// Returns the token file of a folder that several servers read. The folder may belong to another user, as volumes of containers do.
+    ///
+    /// # Errors
+    /// There is no such folder, or all users may replace its files.
+    pub fn in_shared_folder(folder: &Path) -> Result<Self, TokenFileError> {
+        let file = Self::in_folder(folder);
+        let metadata = std::fs::read_dir(folder).and_then(|_| std::fs::metadata(folder));
+        let metadata = metadata.map_err(|source| TokenFileError::Io {
+            path: folder.to_owned(),
+            source,
+        })?;
+        if can_be_replaced(&metadata) {
+            return Err(TokenFileError::WritableFolder(folder.to_owned()));
+        }
+        Ok(file)
     }
 
     /// Returns all tokens, in the order in which they were created.
@@ -290,6 +310,18 @@ impl TokenFile {
             why,
         }
     }
+}
+
+/// Whether users who own neither a folder nor its files can replace these files: they may write to the folder, and it is not sticky.
+#[cfg(unix)]
+fn can_be_replaced(folder: &Metadata) -> bool {
+    use std::os::unix::fs::PermissionsExt;
+    folder.permissions().mode() & 0o1002 == 0o0002
+}
+
+#[cfg(not(unix))]
+fn can_be_replaced(_: &Metadata) -> bool {
+    false
 }
 
 /// Returns the current Unix time in seconds.

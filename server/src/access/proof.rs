@@ -6,9 +6,10 @@ use axum::http::HeaderValue;
 use axum::http::header::{AUTHORIZATION, COOKIE, HeaderMap};
 use tokio::sync::watch;
 
-use super::delegated::DelegatedTokens;
+use super::delegated::{DelegatedTokens, Lender};
 use super::identity::Identity;
 use super::named::{NamedToken, NamedTokens, now};
+use super::sealed::SessionKey;
 use super::signed_in::Sessions;
 use super::token::{Hash, Token, cookie_value, id_of};
 
@@ -68,6 +69,12 @@ impl Authenticator {
         self.named = Some(named);
     }
 
+    /// Accepts the sessions and delegated tokens of all servers that have this key.
+    pub(super) fn share(&mut self, key: &SessionKey) {
+        self.sessions = std::mem::take(&mut self.sessions).with_key(key.clone());
+        self.delegated = std::mem::take(&mut self.delegated).with_key(key.clone());
+    }
+
     /// Returns the identity of a token's owner; `None` if the token is not valid.
     pub(super) fn of_token(&self, token: &str) -> Option<Identity> {
         if self.start_token.matches(token) {
@@ -75,7 +82,25 @@ impl Authenticator {
         }
         let id = id_of(token)?;
         let named = self.of_named(id, |named| named.sha256.matches(token));
-        named.or_else(|| self.delegated.find(id, token).map(Identity::of_delegated))
+        let delegated = || self.delegated.find(id, token).map(Identity::of_delegated);
+        named.or_else(delegated).or_else(|| self.of_sealed(id, token))
+    }
+
+    /// Returns the owner of a delegated token that another server has made, if its lender's token is valid here.
+    fn of_sealed(&self, id: &str, token: &str) -> Option<Identity> {
+        let sealed = self.delegated.unseal(id, token)?;
+        let lender = match &sealed.lender {
+            Lender::Start => self.start.clone(),
+            Lender::Named(id) => self.of_named(id, |_| true)?,
+            Lender::SignedIn {
+                user,
+                roles,
+                name,
+                expires,
+            } => Identity::of_signed_in(self.sessions.named(name, user, *roles, *expires)?),
+        };
+        let delegated = sealed.of_lender(lender);
+        delegated.is_valid().then(|| Identity::of_delegated(delegated))
     }
 
     /// Returns the identity that the value of a cookie stands for; `None` if the value is not valid.
@@ -122,25 +147,26 @@ fn values_of_cookies<'a>(headers: &'a HeaderMap, name: &'a str) -> impl Iterator
 #[derive(Clone, Debug)]
 pub(super) struct CookieFactory {
     name: Arc<str>,
-    port: u16,
+    place: Arc<str>,
     is_https: bool,
 }
 
 impl CookieFactory {
-    /// Creates the factory of a server. `port` distinguishes several servers on one host, because cookies are shared by all ports.
-    /// `is_https` is whether browsers reach the server by HTTPS.
-    pub(super) fn new(port: u16, is_https: bool) -> Self {
-        let prefix = if is_https { "__Host-" } else { "" };
+    /// Creates the factory of a server. `place` distinguishes several servers on one host, because cookies are shared by all ports: the port
+    /// of the server, or port and path of its public address, which is the same for all servers behind one proxy. `is_https` is whether
+    /// browsers reach the server by HTTPS.
+    pub(super) fn new(place: impl Into<Arc<str>>, is_https: bool) -> Self {
+        let (prefix, place) = (if is_https { "__Host-" } else { "" }, place.into());
         Self {
-            name: format!("{prefix}isopeel-{port}").into(),
-            port,
+            name: format!("{prefix}isopeel-{place}").into(),
+            place,
             is_https,
         }
     }
 
     /// Returns the same with the attributes for HTTPS: the prefix `__Host-` and `Secure`.
     pub(super) fn for_https(&self) -> Self {
-        Self::new(self.port, true)
+        Self::new(Arc::clone(&self.place), true)
     }
 
     /// Returns the `Set-Cookie` header with which a browser authenticates as the owner of `token`.
@@ -205,7 +231,7 @@ mod tests {
     #[test]
     fn only_the_token_and_its_cookie_authenticate() {
         let (token, other) = (Token::random().expect("random"), Token::random().expect("random"));
-        let (authenticator, cookies) = (Authenticator::new(&token), CookieFactory::new(8417, false));
+        let (authenticator, cookies) = (Authenticator::new(&token), CookieFactory::new("8417", false));
         assert!(authenticator.of_token(other.text()).is_none() && authenticator.of_token("").is_none());
         let who = authenticator.of_token(token.text()).expect("the right token");
         let cookie = cookies.set_for_token(token.text(), &who);
@@ -242,7 +268,7 @@ mod tests {
     #[test]
     fn over_https_the_cookie_is_for_this_host_only() {
         let token = Token::random().expect("random");
-        let cookie = CookieFactory::new(443, false)
+        let cookie = CookieFactory::new("443", false)
             .for_https()
             .set_for_token(token.text(), &Identity::without_token());
         let cookie = cookie.to_str().expect("ASCII");

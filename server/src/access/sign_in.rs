@@ -4,7 +4,7 @@ use axum::http::{HeaderMap, HeaderValue};
 
 use super::Access;
 use super::identity::Identity;
-use super::oidc::{Oidc, SESSION_SECONDS, SIGN_IN_LIFETIME, random};
+use super::oidc::{Oidc, SESSION_SECONDS, SIGN_IN_LIFETIME};
 use crate::problem::ApiError;
 
 impl Access {
@@ -43,8 +43,9 @@ impl Access {
         };
         let secret = self.cookies.sign_in_secret(headers);
         let confirmed = oidc.end(secret.as_deref(), state, code).await?;
-        let secret = random().map_err(ApiError::internal)?;
         let sessions = authenticator.sessions();
+        let secret = sessions.secret(&confirmed.user, confirmed.roles, SESSION_SECONDS);
+        let secret = secret.map_err(ApiError::internal)?;
         sessions.begin(&secret, &confirmed.user, confirmed.roles, SESSION_SECONDS);
         let who = sessions.find(&secret).map(Identity::of_signed_in);
         let who = who.ok_or_else(|| ApiError::internal("a session that just began has ended"))?;

@@ -67,6 +67,11 @@ impl Token {
         Ok(Self(format!("{PREFIX}{id}_{secret}")))
     }
 
+    /// Returns a token with the id of this one and another secret.
+    pub(super) fn with_secret(&self, secret: &str) -> Self {
+        Self(format!("{PREFIX}{}_{secret}", self.id().unwrap_or_default()))
+    }
+
     /// Reads the token from a file that contains nothing else.
     ///
     /// # Errors
@@ -96,6 +101,11 @@ impl Token {
 /// Returns the public part of a token.
 pub(super) fn id_of(token: &str) -> Option<&str> {
     Some(token.strip_prefix(PREFIX)?.split_once('_')?.0)
+}
+
+/// Returns the secret part of a token.
+pub(super) fn secret_of(token: &str) -> Option<&str> {
+    Some(token.strip_prefix(PREFIX)?.split_once('_')?.1)
 }
 
 /// Returns the value of the cookie that stands for a token: a hash, from which the token cannot be derived.

@@ -4,6 +4,7 @@ mod devices;
 pub(super) mod memory;
 mod oidc;
 mod relaunch;
+mod servers;
 mod signals;
 mod uploads;
 
@@ -19,8 +20,8 @@ use isopeel_volumes::{Catalog, FileLocation, Frame, ReadError, SharedCatalog, fo
 use super::device::DeviceArgs;
 use super::log;
 use crate::access::{
-    Access, AllowedOrigin, Audit, AuditError, PublicUrl, Rates, Token, TokenError, TokenFile, TokenFileError,
-    TokenWatch, TrustedProxy,
+    Access, AllowedOrigin, Audit, AuditError, PublicUrl, Rates, Token, TokenError, TokenFileError, TokenWatch,
+    TrustedProxy,
 };
 use crate::jobs::{Limits, StateFolder, StateFolderError};
 use crate::metrics::DeviceNumber;
@@ -33,6 +34,7 @@ use crate::stream::LiveOptions;
 use crate::uploads::FolderError;
 use devices::{DevicesArgs, DevicesError};
 use memory::MemoryArgs;
+use servers::ServersArgs;
 use uploads::UploadArgs;
 
 /// Default of `--ceiling-triangles`. More than a browser can draw: 80 MB on the wire, and 1 GB of memory while the surface is made.
@@ -154,6 +156,9 @@ pub struct Args {
 
     #[command(flatten)]
     oidc: oidc::OidcArgs,
+
+    #[command(flatten)]
+    servers: ServersArgs,
 
     /// Ask for no token: whoever reaches the port may use all volumes, every user of this machine among them. Only on a loopback address
     #[arg(long)]
@@ -291,7 +296,10 @@ pub fn run(args: &Args, log_arguments: &[String]) -> Result<(), Error> {
         _ => token(args)?,
     };
     let tls = tls(args)?;
-    let oidc = args.oidc.open(args.public_url.first(), token.is_none())?;
+    let session_key = args.servers.session_key()?;
+    let oidc = args
+        .oidc
+        .open(args.public_url.first(), token.is_none(), session_key.as_ref())?;
     let audit = args.audit_log.as_deref().map(Audit::open).transpose()?;
     args.memory.limit_process();
     if args.follow_links {
@@ -315,7 +323,7 @@ pub fn run(args: &Args, log_arguments: &[String]) -> Result<(), Error> {
     let folder = folder
         .map(|path| StateFolder::open(path, args.folder_access))
         .transpose()?;
-    let tokens = folder.as_ref().map(|folder| TokenFile::in_folder(folder.path()));
+    let tokens = args.servers.tokens(folder.as_ref())?;
     let tokens = tokens.map(TokenWatch::open).transpose()?;
     let tokens = tokens.map(|tokens| tokens.with_audit(audit.clone()));
     let spool = args.spool(folder.as_ref())?;
@@ -342,6 +350,7 @@ pub fn run(args: &Args, log_arguments: &[String]) -> Result<(), Error> {
             super::print(addresses(args, &address, token.as_ref()).as_bytes()).map_err(Error::Output)?;
         }
         let access = access(args, &address, token.as_ref(), tokens.as_ref());
+        let access = access.with_session_key(session_key.as_ref());
         let access = access.with_oidc(oidc).with_audit(audit.clone());
         let config = Config {
             ceiling_triangles: args.ceiling_triangles,
@@ -351,6 +360,7 @@ pub fn run(args: &Args, log_arguments: &[String]) -> Result<(), Error> {
             metrics,
             uploads,
             jobs,
+            job_server: args.servers.job_server().map(Arc::from),
             spool,
             is_draining,
             grace: half_drain.max(serve::SHUTDOWN_GRACE),
@@ -577,6 +587,7 @@ impl Args {
         let folders = [&self.state_folder, &self.spool];
         let named = files.into_iter().chain(folders).flatten();
         let named = named.chain(self.oidc.secret_file()).chain(self.uploads.folder());
+        let named = named.chain(self.servers.secrets());
         let volumes = self.paths.iter().map(|path| FileLocation::named(path));
         let mut hidden: HashSet<PathBuf> = volumes.filter_map(on_disk).chain(named.cloned()).collect();
         // Other files of a volume, which its path does not name: samples beside a header, and what links lead to.
@@ -652,6 +663,8 @@ mod tests {
             ("--spool", "/a/spool"),
             ("--uploads", "/a/uploads"),
             ("--oidc-client-secret-file", "/a/secret"),
+            ("--token-folder", "/a/tokens"),
+            ("--session-key-file", "/a/session"),
         ];
         let options = options.iter().flat_map(|(name, value)| [*name, *value]);
         let paths = [header.to_str().unwrap(), "/volumes", "https://volumes.example/a.zarr"];
@@ -659,7 +672,9 @@ mod tests {
         let catalog = Catalog::open(std::slice::from_ref(&header), true).unwrap();
         let mut hidden = args.hidden(&catalog);
         hidden.sort();
-        let named = ["audit", "config", "key", "secret", "spool", "state", "token", "uploads"];
+        let named = [
+            "audit", "config", "key", "secret", "session", "spool", "state", "token", "tokens", "uploads",
+        ];
         let mut expected: Vec<_> = named.iter().map(|name| Path::new("/a").join(name)).collect();
         expected.extend([header, folder.path().join("a.raw"), "/volumes".into()]);
         expected.sort();

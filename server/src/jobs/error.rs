@@ -12,7 +12,9 @@ use super::results::ReadResultError;
 #[non_exhaustive]
 pub enum JobError {
     /// The owner has no such job.
-    #[error("no job has the id {0:?}, /api/v1/jobs lists those there are")]
+    #[error(
+        "no job of yours has the id {0:?} on this server, /api/v1/jobs lists those there are; a job belongs to the server that took it"
+    )]
     UnknownJob(String),
     /// The server has no such volume.
     #[error("no volume has the id {0:?}, /api/v1/volumes lists those there are")]

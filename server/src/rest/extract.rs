@@ -109,7 +109,10 @@ impl ToSchema for File {}
     path = "/api/v1/extract",
     tag = "extract",
     request_body = ExtractRequest,
-    params(("accept-encoding" = Option<String>, Header, description = "`zstd` or `gzip`: the body is compressed")),
+    params(
+        ("volume" = Option<String>, Query, description = "The volume of the body, by which a proxy of several servers chooses one; the server ignores it"),
+        ("accept-encoding" = Option<String>, Header, description = "`zstd` or `gzip`: the body is compressed"),
+    ),
     responses(
         (
             status = 200,

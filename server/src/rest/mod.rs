@@ -123,6 +123,8 @@ pub struct ApiState {
     jobs: Option<Jobs>,
     /// `None` if the server does not accept uploads.
     uploads: Option<Uploads>,
+    /// Name of the server that takes batch jobs and uploads, if there are several behind a proxy.
+    job_server: Option<Arc<str>>,
     /// Whether the server will shut down soon.
     is_draining: Arc<AtomicBool>,
 }
@@ -142,6 +144,7 @@ impl ApiState {
             access,
             jobs: None,
             uploads: None,
+            job_server: None,
             is_draining: Arc::default(),
         }
     }
@@ -150,6 +153,12 @@ impl ApiState {
     #[must_use]
     pub fn with_jobs(self, jobs: Option<Jobs>) -> Self {
         Self { jobs, ..self }
+    }
+
+    /// Names the server that takes batch jobs and uploads, in lists of volumes and in errors.
+    #[must_use]
+    pub fn with_job_server(self, job_server: Option<Arc<str>>) -> Self {
+        Self { job_server, ..self }
     }
 
     /// Spools exports of slow clients to this folder, instead of the folder for temporary files.

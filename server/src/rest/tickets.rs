@@ -28,6 +28,7 @@ pub struct TicketInfo {
     path = "/api/v1/tickets",
     operation_id = "issue_ticket",
     tag = "session",
+    params(("volume" = Option<String>, Query, description = "The volume of the stream, so that a proxy of several servers requests the ticket of the one that gets the stream; the server ignores it")),
     responses(
         (status = 201, description = "The ticket", body = TicketInfo),
         (status = 401, description = "`unauthorized`: no token, or another one", body = Problem, content_type = "application/problem+json"),

@@ -50,7 +50,12 @@ impl ApiState {
     /// Returns the uploads, or an error if the server accepts none.
     fn uploads(&self) -> Result<&Uploads, ApiError> {
         self.uploads.as_ref().ok_or_else(|| {
-            let message = "uploads are disabled on this server, expected one that was started with --uploads DIR";
+            let message = match &self.job_server {
+                None => "uploads are disabled on this server, expected one that was started with --uploads DIR".into(),
+                Some(name) => format!(
+                    "this server takes no uploads: of the servers behind this address, {name:?} takes them and has those there are"
+                ),
+            };
             ApiError::new(StatusCode::NOT_IMPLEMENTED, "uploads-off", message)
         })
     }

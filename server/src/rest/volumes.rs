@@ -34,10 +34,13 @@ pub struct VolumeSummary {
     pub fields: Vec<String>,
     /// Notices to be shown with the data, one a line, as in the volume's description.
     pub notice: Option<String>,
+    /// Name of the server that takes batch jobs and uploads, if there are several behind a proxy (`--job-server`); null: it is the one that
+    /// answers.
+    pub job_server: Option<String>,
 }
 
-impl From<&Dataset> for VolumeSummary {
-    fn from(dataset: &Dataset) -> Self {
+impl VolumeSummary {
+    fn new(dataset: &Dataset, job_server: Option<&str>) -> Self {
         Self {
             id: dataset.id.clone(),
             title: dataset.title.clone(),
@@ -45,6 +48,7 @@ impl From<&Dataset> for VolumeSummary {
             steps: dataset.steps,
             fields: dataset.fields.iter().map(|f| f.name.clone()).collect(),
             notice: dataset.notice(),
+            job_server: job_server.map(str::to_owned),
         }
     }
 }
@@ -59,7 +63,8 @@ impl From<&Dataset> for VolumeSummary {
 )]
 pub async fn list(State(state): State<ApiState>, who: Identity) -> Json<Vec<VolumeSummary>> {
     let datasets = state.catalog.list(who.reader());
-    Json(datasets.iter().map(|d| VolumeSummary::from(&**d)).collect())
+    let job_server = state.job_server.as_deref();
+    Json(datasets.iter().map(|d| VolumeSummary::new(d, job_server)).collect())
 }
 
 /// A path that the server was started with and that it cannot read.

@@ -81,6 +81,7 @@ use super::groups::{GroupEvent, Member, next_group_event};
 use crate::access::Identity;
 use crate::error::chain;
 use crate::metrics;
+use crate::problem::of_another_server;
 use crate::service::OpeningProgress;
 use crate::wire::messages::{ClientMessage, CloseCode, MAX_MALFORMED, MAX_MESSAGE_BYTES, ServerMessage};
 use heartbeat::{BEFORE_BEAT, Heartbeat};
@@ -484,7 +485,8 @@ impl<B: Backend> Session<B> {
     fn refuse_volume(&mut self, id: &str) {
         self.open_pace.record_opening(Instant::now());
         self.close_volume();
-        let message = format!("no volume has the id {id:?}, GET /api/v1/volumes lists those there are");
+        let where_else = of_another_server(id);
+        let message = format!("no volume has the id {id:?}, GET /api/v1/volumes lists those there are{where_else}");
         self.send_error("unknown-volume", message, true);
     }
 

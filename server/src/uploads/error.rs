@@ -12,7 +12,9 @@ use super::names::NameError;
 #[non_exhaustive]
 pub enum UploadError {
     /// The user has no such upload.
-    #[error("no upload has the id {0:?}, /api/v1/uploads lists those there are")]
+    #[error(
+        "no upload of yours has the id {0:?} on this server, /api/v1/uploads lists those there are; an upload belongs to the server that took it"
+    )]
     Unknown(String),
     /// The declared files are invalid.
     #[error(transparent)]

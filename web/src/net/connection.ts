@@ -89,6 +89,13 @@ export class Connection {
     this.retry(undefined);
   }
 
+  /** Closes this socket and opens another at once, at another address. */
+  reopen(): void {
+    this.drop();
+    clearTimeout(this.timer);
+    this.connect();
+  }
+
   /** Connects at once if a pause is running. */
   retryNow(): void {
     if (!this.isWaiting) return;

@@ -37,10 +37,11 @@ export async function hold(base: URL, token: string): Promise<SessionInfo> {
   return session;
 }
 
-/** The stream of the server at `base`. */
-export function streamUrl(base: URL): URL {
+/** The stream of the server at `base`. A proxy of several servers sends viewers of one volume to one server; a server ignores the volume. */
+export function streamUrl(base: URL, volume?: string): URL {
   const url = new URL("api/v1/stream", base);
   url.protocol = base.protocol === "https:" ? "wss:" : "ws:";
+  if (volume !== undefined) url.searchParams.set("volume", volume);
   return url;
 }
 
@@ -53,6 +54,8 @@ export function streamAddress(stream: URL): string | Promise<string> {
 async function withTicket(stream: URL): Promise<string> {
   const tickets = new URL("tickets", stream);
   tickets.protocol = stream.protocol === "wss:" ? "https:" : "http:";
+  // The server that issues a ticket accepts it.
+  tickets.search = stream.search;
   const response = await request(tickets, { method: "POST" });
   if (!response.ok) throw new Error(`no ticket for the stream: HTTP ${response.status}`);
   const { ticket } = (await response.json()) as { readonly ticket: string };

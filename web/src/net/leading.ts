@@ -7,22 +7,30 @@ import { ASKED_CODINGS } from "../protocol/chunk";
 import type { ClientMessage } from "../protocol/generated";
 
 /** A group, and the secret key with which this tab resumes leading it. */
-export interface Leading {
+export interface Leading extends Place {
   readonly group: string;
   readonly key: string;
 }
 
+/** Where the members of a group meet: at the server to which a proxy sends the viewers of this volume. */
+interface Place {
+  readonly via?: string;
+}
+
 /** A group that is followed, and the follower's name in it. */
-export interface Joined {
+export interface Joined extends Place {
   readonly group: string;
   readonly name?: string;
 }
 
 /** The message that joins a group. */
-export const joining = (joined: Joined): ClientMessage => ({ type: "join", name: null, ...joined, codings: [...ASKED_CODINGS] });
+export const joining = ({ group, name }: Joined): ClientMessage => ({ type: "join", name: name ?? null, group, codings: [...ASKED_CODINGS] });
 
 /** The message that leads a group again. */
-export const leadingAgain = (resume: Leading): ClientMessage => ({ type: "lead", resume, codings: [...ASKED_CODINGS] });
+export const leadingAgain = ({ group, key }: Leading): ClientMessage => ({ type: "lead", resume: { group, key }, codings: [...ASKED_CODINGS] });
+
+/** The volume by which members of a group meet, if there is one. */
+export const placeOf = (via: string | undefined): Place => (via === undefined ? {} : { via });
 
 const KEY = "isopeel-leads";
 /** The server waits half as long for the leader; a tab that is reopened later does not lead any more. */
@@ -43,9 +51,9 @@ export function takeLeading(now = Date.now()): Leading | undefined {
   try {
     const kept = sessionStorage.getItem(KEY);
     sessionStorage.removeItem(KEY);
-    const { group, key, at } = JSON.parse(kept ?? "{}") as Partial<Leading> & { readonly at?: number };
+    const { group, key, via, at } = JSON.parse(kept ?? "{}") as Partial<Leading> & { readonly at?: number };
     if (typeof group !== "string" || typeof key !== "string" || typeof at !== "number") return undefined;
-    return now - at < MAX_AGE_MS ? { group, key } : undefined;
+    return now - at < MAX_AGE_MS ? { group, key, ...placeOf(via) } : undefined;
   } catch {
     return undefined;
   }

@@ -31,7 +31,10 @@ export async function listUnreadable(base: URL, limitMs = LIST_LIMIT_MS): Promis
 
 /** The mesh of a view as a file. */
 export async function extract(base: URL, volume: string, step: number, format: string, edit: Edit): Promise<Blob> {
-  const response = await ask(new URL("api/v1/extract", base), {
+  const url = new URL("api/v1/extract", base);
+  // For a proxy of several servers, which does not read the body.
+  url.searchParams.set("volume", volume);
+  const response = await ask(url, {
     method: "POST",
     headers: { "content-type": "application/json" },
     body: JSON.stringify({ ...edit, volume, step, format }),

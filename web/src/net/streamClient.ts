@@ -10,7 +10,7 @@ import { difference, hasBudget, isColorAlone, isNothing, withBudget } from "../p
 import type { Capabilities, ClientMessage, Edit, GroupMessage, Question, ServerMessage, StreamMessage, View, ViewCamera } from "../protocol/types";
 import { isEqual } from "../protocol/equal";
 import { Connection, type ConnectionState } from "./connection";
-import { joining, leadingAgain, type Joined, type Leading } from "./leading";
+import { joining, leadingAgain, placeOf, type Joined, type Leading } from "./leading";
 import { Throttle } from "./throttle";
 
 /** 20 edits a second are smooth under a dragged slider; the server would merge more of them anyway. */
@@ -39,6 +39,10 @@ export interface StreamClientHandlers {
   readonly onOnlyLooks: (reason: string) => void;
   /** An edit of a surface was sent. */
   readonly onEditSent: (surface: number) => void;
+  /** Volume of the page's link, as long as none is wanted. */
+  readonly linked?: () => string | undefined;
+  /** Whether a proxy has several servers, and chooses one by the volume in the address. */
+  readonly hasSeveralServers?: () => boolean;
 }
 
 export class StreamClient {
@@ -63,14 +67,22 @@ export class StreamClient {
   private leading: Leading | undefined;
   /** Whether another member of the group has control, or will get it: then this page shows that member's view and requests nothing itself. */
   private isLed = false;
+  /** Whether this connection leads the group that the page leads. */
+  private isLeading = false;
+  /** Volume in the address of this connection; null before the first one. */
+  private addressed: string | undefined | null = null;
 
-  /** @param address as a `Connection` takes it */
+  /** @param address as a `Connection` takes it, for a volume */
   constructor(
-    address: string | (() => string | Promise<string>),
+    address: string | ((volume: string | undefined) => string | Promise<string>),
     private readonly handlers: StreamClientHandlers,
   ) {
     this.throttle = new Throttle(EDIT_INTERVAL_MS, () => this.flush());
-    this.connection = new Connection(typeof address === "string" ? () => address : address, {
+    const open = () => {
+      const place = (this.addressed = this.place);
+      return typeof address === "string" ? address : address(place);
+    };
+    this.connection = new Connection(open, {
       onOpen: () => {
         if (this.send({ type: "heartbeat" })) this.asked += 1;
         this.sendOpen();
@@ -81,7 +93,7 @@ export class StreamClient {
         if (this.opened) this.handlers.onChunk(frame);
       },
       onState: (state, reason) => {
-        if (state !== "connected") this.opened = false;
+        if (state !== "connected") this.opened = this.isLeading = false;
         this.handlers.onState(state, reason);
       },
     });
@@ -115,6 +127,11 @@ export class StreamClient {
   /** After a reload of the page, continues to lead the group that it led before, as soon as a volume is open. */
   leadOn(leading: Leading): void {
     this.leading = leading;
+  }
+
+  /** Volume by which a proxy of several servers chooses the server of this page. In a group, it is that of the leader. */
+  get place(): string | undefined {
+    return (this.leading ?? this.joined)?.via ?? this.handlers.wanted().target?.volume ?? this.handlers.linked?.();
   }
 
   start(): void {
@@ -155,7 +172,15 @@ export class StreamClient {
       return;
     }
     this.throttle.cancel();
-    this.sendOpen();
+    if (!this.moved()) this.sendOpen();
+  }
+
+  /** Connects to the server that a proxy has for what is wanted, if that is another one; `open` and the edits follow. Returns whether it does. */
+  private moved(): boolean {
+    if (this.addressed === null || this.handlers.hasSeveralServers?.() !== true || this.place === this.addressed) return false;
+    this.opened = false;
+    this.connection.reopen();
+    return true;
   }
 
   /** Other surfaces or values are wanted: sends what differs, soon. */
@@ -193,19 +218,19 @@ export class StreamClient {
     if (this.opened && this.send(question)) this.asked += 1;
   }
 
-  /** Follows a group from now on, with a name for its leader. */
-  join(group: string, name: string | undefined): void {
+  /** Follows a group from now on, with a name for its leader. `via`: the volume by which its members meet. */
+  join(group: string, name: string | undefined, via = this.addressed ?? undefined): void {
     this.leading = undefined;
-    this.joined = { group, ...(name === undefined ? {} : { name }) };
+    this.joined = { group, ...(name === undefined ? {} : { name }), ...placeOf(via) };
     this.isLed = true;
     this.throttle.cancel();
     this.adopt();
-    this.send(joining(this.joined));
+    if (!this.moved()) this.send(joining(this.joined));
   }
 
   /** Sends a message about the group. */
   say(message: GroupMessage): void {
-    if (message.type === "leave") [this.joined, this.leading] = [undefined, undefined];
+    if (message.type === "leave") [this.joined, this.leading, this.isLeading] = [undefined, undefined, false];
     this.send(message);
   }
 
@@ -271,14 +296,14 @@ export class StreamClient {
 
   private receiveGroup({ key, ...message }: Extract<ServerMessage, { type: "group" }>): true {
     this.isLed = message.control !== message.you;
-    if (key !== undefined) [this.leading, this.joined] = [{ group: message.group, key }, undefined];
+    if (key !== undefined) [this.leading, this.joined, this.isLeading] = [{ group: message.group, key, ...placeOf(this.addressed ?? undefined) }, undefined, true];
     this.handlers.onMessage(message);
     return true;
   }
 
   /** The page has left its group; the shown surfaces stay. */
   private parted(message: StreamMessage): true {
-    [this.joined, this.leading, this.isLed] = [undefined, undefined, false];
+    [this.joined, this.leading, this.isLed, this.isLeading] = [undefined, undefined, false, false];
     this.handlers.onMessage(message);
     if (!this.opened) this.sendOpen();
     return true;
@@ -314,8 +339,8 @@ export class StreamClient {
     // An edit without values has the first surface made.
     if (this.sent.has(0) && !edits.has(0)) this.sendEdit(0, {});
     for (const [number, edit] of edits) this.sendEdit(number, edit);
-    // Only now, as the page has restored its earlier state.
-    this.leadAgain();
+    // Only now, as the page has restored its earlier state. Who leads on this connection already would end the group by that.
+    if (!this.isLeading) this.leadAgain();
   }
 
   /** Another member decides: the server has what is shown. */

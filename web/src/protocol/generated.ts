@@ -1076,4 +1076,9 @@ export type VolumeSummary = {
   fields: Array<string>,
   /** Notices to be shown with the data, one a line, as in the volume's description. */
   notice: string | null,
+  /**
+   * Name of the server that takes batch jobs and uploads, if there are several behind a proxy (`--job-server`); null: it is the one that
+   * answers.
+   */
+  jobServer: string | null,
 };

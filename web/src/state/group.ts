@@ -32,16 +32,21 @@ export function isAboutGroup(message: ServerMessage): message is Extract<ServerM
 /** What another member shows is shown. */
 export const isLed = (group: Group | undefined) => group !== undefined && group.control !== group.you;
 
-/** The address that others join by. It has no secret but the group's id. */
-export function groupLink(page: string, group: string): string {
+/** The address that others join by. It has no secret but the group's id. `via`: the volume by which a proxy of several servers finds the group's. */
+export function groupLink(page: string, group: string, via?: string): string {
   const address = new URL(page);
-  address.hash = `${NAME}=${group}`;
+  address.hash = `${NAME}=${group}${via === undefined ? "" : `&volume=${encodeURIComponent(via)}`}`;
   return address.href;
 }
 
 /** The group that an address' hash asks for. */
 export function groupOf(hash: string): string | undefined {
-  return /^#?follow=([0-9a-f]{32})$/.exec(hash)?.[1];
+  return /^#?follow=([0-9a-f]{32})(?:&volume=[^&]*)?$/.exec(hash)?.[1];
+}
+
+/** The volume that an address' hash names, of a link or of a group. */
+export function volumeOf(hash: string): string | undefined {
+  return new URLSearchParams(hash.replace(/^#/, "")).get("volume") ?? undefined;
 }
 
 /** How many follow, in words. */

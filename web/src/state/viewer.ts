@@ -310,6 +310,11 @@ export function isFrameDue(state: ServerState): boolean {
   return all(state).some(({ frameDue }) => frameDue);
 }
 
+/** Whether a proxy has several servers, among which it chooses by the volume in an address. */
+export function hasSeveralServers({ volumes }: Pick<ServerState, "volumes">): boolean {
+  return volumes?.some(({ jobServer }) => typeof jobServer === "string") === true;
+}
+
 /** The generation of an edit of any surface is not done. */
 export function isWorking(state: ServerState): boolean {
   return all(state).some(({ working }) => working);

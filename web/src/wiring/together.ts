@@ -7,12 +7,13 @@ import { isEqual } from "../protocol/equal";
 import type { Led, Posed, ServerMessage, View } from "../protocol/types";
 import type { CameraPose } from "../scene/pose";
 import type { SurfaceRenderer } from "../scene/renderer";
-import { groupLink, groupNews, groupOf, isLed, type GroupAct, type GroupState } from "../state/group";
+import { groupLink, groupNews, groupOf, isLed, volumeOf, type GroupAct, type GroupState } from "../state/group";
 import { decodeLink, encodeLink, type Link, type LinkState } from "../state/link";
 import { LinkError } from "../state/linkReader";
 import { FIRST_SLICING } from "../state/slicing";
 import type { StateEvent } from "../state/reduce";
 import { openingLookOf } from "../state/state";
+import { hasSeveralServers } from "../state/viewer";
 import type { Store } from "../state/store";
 import { DEFAULT_STYLE } from "../state/surfaceList";
 import { sorted } from "../transfer/model";
@@ -81,7 +82,7 @@ export class Together {
   join(): boolean {
     const group = groupOf(window.location.hash);
     if (group === undefined) return false;
-    this.around.client.join(group, this.name);
+    this.around.client.join(group, this.name, volumeOf(window.location.hash));
     return true;
   }
 
@@ -91,7 +92,7 @@ export class Together {
       case "start":
         return client.say({ type: "lead", resume: null, codings: [] });
       case "copy":
-        if (this.group !== undefined) void copyOut(model, groupLink(window.location.href, this.group.group), "Link copied: anyone with access to this server who opens it follows");
+        if (this.group !== undefined) void copyOut(model, groupLink(window.location.href, this.group.group, hasSeveralServers(this.around.store.viewer) ? client.place : undefined), "Link copied: anyone with access to this server who opens it follows");
         return;
       case "leave":
         return client.say({ type: "leave" });

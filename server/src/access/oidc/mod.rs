@@ -11,7 +11,6 @@ mod tests;
 
 use std::str::FromStr;
 use std::sync::Arc;
-use std::time::Instant;
 
 use axum::http::StatusCode;
 use reqwest::Url;
@@ -20,7 +19,9 @@ use self::claims::{Claims, ClaimsError, Expected};
 use self::pending::PendingSignIns;
 use self::provider::{Exchange, Provider, ProviderError, form_value, is_safe};
 use super::PublicUrl;
+use super::named::now;
 use super::role::{Role, Roles};
+use super::sealed::SessionKey;
 use super::token::TokenError;
 use crate::problem::ApiError;
 
@@ -117,11 +118,12 @@ pub(super) struct ConfirmedUser {
 }
 
 impl Oidc {
-    /// Creates the sign-in of a server with the address `public`. Sends no request to the issuer.
+    /// Creates the sign-in of a server with the address `public`. Sends no request to the issuer. `key` is the one that the servers at this
+    /// address share, if there are several.
     ///
     /// # Errors
     /// [`OidcError`]. An unreachable issuer is not an error here, but fails when a user signs in.
-    pub fn new(options: OidcOptions, public: &PublicUrl) -> Result<Self, OidcError> {
+    pub fn new(options: OidcOptions, public: &PublicUrl, key: Option<&SessionKey>) -> Result<Self, OidcError> {
         let bad = || OidcError::Issuer(options.issuer.clone());
         let address: Url = options.issuer.parse().map_err(|_| bad())?;
         if !is_safe(&address) || address.query().is_some() || address.fragment().is_some() {
@@ -138,7 +140,7 @@ impl Oidc {
         Ok(Self {
             options: Arc::new(options),
             provider: Arc::new(provider),
-            pending: PendingSignIns::new().map_err(OidcError::Random)?,
+            pending: PendingSignIns::new(key).map_err(OidcError::Random)?,
             home: format!("{}/", home.trim_end_matches('/')).into(),
         })
     }
@@ -156,7 +158,7 @@ impl Oidc {
     /// Begins a sign-in. Returns the address of the issuer to which the browser is redirected, and a secret for the cookie of the sign-in.
     pub(super) async fn begin(&self) -> Result<(String, String), ApiError> {
         let (metadata, _) = self.provider.metadata(false).await.map_err(issuer_error)?;
-        let (secret, state, sign_in) = self.pending.begin(Instant::now()).map_err(no_random)?;
+        let (secret, state, sign_in) = self.pending.begin(now()).map_err(no_random)?;
         let redirect = self.redirect();
         let mut address = metadata.authorization_endpoint.0;
         address
@@ -174,7 +176,7 @@ impl Oidc {
 
     /// Completes a sign-in after the browser has returned from the issuer with a code, a state and the secret of its cookie.
     pub(super) async fn end(&self, secret: Option<&str>, state: &str, code: &str) -> Result<ConfirmedUser, ApiError> {
-        let sign_in = secret.and_then(|secret| self.pending.end(secret, state, Instant::now()));
+        let sign_in = secret.and_then(|secret| self.pending.end(secret, state, now()));
         let sign_in = sign_in.ok_or_else(|| {
             refused("this sign-in began in another browser, was used, or took longer than ten minutes")
         })?;

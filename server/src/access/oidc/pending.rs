@@ -6,7 +6,7 @@
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use base64::Engine;
 use base64::engine::general_purpose::URL_SAFE_NO_PAD;
@@ -14,6 +14,7 @@ use ring::hmac::{HMAC_SHA256, Key, sign};
 use sha2::{Digest, Sha256};
 use subtle::ConstantTimeEq;
 
+use crate::access::sealed::SessionKey;
 use crate::access::token::TokenError;
 
 /// Maximum duration of a sign-in. Enough time for a password and a second factor.
@@ -41,28 +42,31 @@ impl PendingSignIn {
 #[derive(Clone, Debug)]
 pub(super) struct PendingSignIns {
     key: Arc<Key>,
-    /// Start of the times in secrets.
-    epoch: Instant,
-    /// Begin of each completed sign-in, by its state.
-    used: Arc<Mutex<HashMap<String, Instant>>>,
+    /// Begin of each completed sign-in in seconds of Unix time, by its state.
+    used: Arc<Mutex<HashMap<String, u64>>>,
 }
 
 impl PendingSignIns {
-    /// Generates a random key.
-    pub(super) fn new() -> Result<Self, TokenError> {
-        let mut key = [0; RANDOM_BYTES];
-        getrandom::fill(&mut key)?;
+    /// Takes the key that servers share, so that a sign-in may begin at one and end at another; else generates a random one.
+    pub(super) fn new(shared: Option<&SessionKey>) -> Result<Self, TokenError> {
+        let key = match shared {
+            Some(shared) => shared.derived("sign-in"),
+            None => {
+                let mut key = [0; RANDOM_BYTES];
+                getrandom::fill(&mut key)?;
+                Key::new(HMAC_SHA256, &key)
+            }
+        };
         Ok(Self {
-            key: Arc::new(Key::new(HMAC_SHA256, &key)),
-            epoch: Instant::now(),
+            key: Arc::new(key),
             used: Arc::default(),
         })
     }
 
-    /// Begins a sign-in. Returns the secret for the browser, the state, and the other values for the issuer.
-    pub(super) fn begin(&self, now: Instant) -> Result<(String, String, PendingSignIn), TokenError> {
-        let age = now.saturating_duration_since(self.epoch).as_secs();
-        let secret = format!("{}.{age}", random()?);
+    /// Begins a sign-in at `now`, in seconds of Unix time. Returns the secret for the browser, the state, and the other values for the
+    /// issuer.
+    pub(super) fn begin(&self, now: u64) -> Result<(String, String, PendingSignIn), TokenError> {
+        let secret = format!("{}.{now}", random()?);
         let state = self.derive("state", &secret);
         let sign_in = self.derive_sign_in(&secret);
         Ok((secret, state, sign_in))
@@ -70,19 +74,19 @@ impl PendingSignIns {
 
     /// Completes the sign-in of a secret. Returns `None` if the state does not belong to the secret, the sign-in took longer than
     /// [`LIFETIME`], or the secret was used before.
-    pub(super) fn end(&self, secret: &str, state: &str, now: Instant) -> Option<PendingSignIn> {
+    pub(super) fn end(&self, secret: &str, state: &str, now: u64) -> Option<PendingSignIn> {
         // Comes first: only a matching state proves that the server has issued this secret, including the time in it.
         let expected = self.derive("state", secret);
         if !bool::from(expected.as_bytes().ct_eq(state.as_bytes())) {
             return None;
         }
-        let age = secret.rsplit_once('.')?.1.parse().ok()?;
-        let begun = self.epoch.checked_add(Duration::from_secs(age))?;
-        if now.saturating_duration_since(begun) >= LIFETIME {
+        let begun: u64 = secret.rsplit_once('.')?.1.parse().ok()?;
+        let is_soon = |begun: u64| now.saturating_sub(begun) < LIFETIME.as_secs();
+        if !is_soon(begun) {
             return None;
         }
         let mut used = self.used.lock().unwrap_or_else(PoisonError::into_inner);
-        used.retain(|_, begun| now.saturating_duration_since(*begun) < LIFETIME);
+        used.retain(|_, begun| is_soon(*begun));
         if used.contains_key(&expected) {
             return None;
         }
@@ -121,10 +125,11 @@ pub(in crate::access) fn random() -> Result<String, TokenError> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::access::sealed::tests::key;
 
     #[test]
     fn who_comes_back_is_who_left_and_once_and_soon() {
-        let (pending, now) = (PendingSignIns::new().unwrap(), Instant::now());
+        let (pending, now) = (PendingSignIns::new(None).unwrap(), 1_000);
         let (secret, state, trip) = pending.begin(now).unwrap();
         let (other, other_state, other_trip) = pending.begin(now).unwrap();
         assert_ne!(trip, other_trip);
@@ -133,21 +138,32 @@ mod tests {
         assert_eq!(pending.end("", &state, now), None);
         assert_eq!(pending.end(&secret, &state, now), Some(trip));
         assert_eq!(pending.end(&secret, &state, now), None, "once");
-        let late = now + LIFETIME + Duration::from_secs(1);
+        let late = now + LIFETIME.as_secs() + 1;
         assert_eq!(pending.end(&other, &other_state, late), None, "soon");
-        let younger = other.replace(".0", ".600");
+        let younger = other.replace(".1000", ".1600");
         assert_eq!(
             pending.end(&younger, &other_state, late),
             None,
             "its time is the server's"
         );
-        let elsewhere = PendingSignIns::new().unwrap();
+        let elsewhere = PendingSignIns::new(None).unwrap();
         assert_eq!(elsewhere.end(&other, &other_state, now), None, "another server");
     }
 
     #[test]
+    fn with_a_shared_key_a_sign_in_ends_at_another_server() {
+        let server = |letter: &str| PendingSignIns::new(Some(&key(letter))).unwrap();
+        let (one, other) = (server("a"), server("a"));
+        let (secret, state, trip) = one.begin(1_000).unwrap();
+        assert_eq!(server("b").end(&secret, &state, 1_001), None, "another key");
+        assert_eq!(other.end(&secret, &state, 1_000 + LIFETIME.as_secs()), None, "late");
+        assert_eq!(other.end(&secret, &state, 1_001), Some(trip));
+        assert_eq!(other.end(&secret, &state, 1_002), None, "once");
+    }
+
+    #[test]
     fn strangers_who_leave_make_nobody_come_back_in_vain_and_take_no_memory() {
-        let (pending, now) = (PendingSignIns::new().unwrap(), Instant::now());
+        let (pending, now) = (PendingSignIns::new(None).unwrap(), 1_000);
         let (first, first_state, trip) = pending.begin(now).unwrap();
         for _ in 0..2 * MAX_USED {
             pending.begin(now).unwrap();

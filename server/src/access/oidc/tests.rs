@@ -311,7 +311,7 @@ fn options(issuer: &str) -> OidcOptions {
 }
 
 fn oidc(issuer: &str) -> Oidc {
-    Oidc::new(options(issuer), &"http://localhost:8417/lab".parse().unwrap()).unwrap()
+    Oidc::new(options(issuer), &"http://localhost:8417/lab".parse().unwrap(), None).unwrap()
 }
 
 /// A browser goes to the issuer: its secret, and the state that comes back.
@@ -428,7 +428,7 @@ fn options_that_let_nobody_or_anybody_in_are_refused() {
         "",
     ] {
         assert!(
-            matches!(Oidc::new(options(issuer), &public), Err(OidcError::Issuer(_))),
+            matches!(Oidc::new(options(issuer), &public, None), Err(OidcError::Issuer(_))),
             "{issuer}"
         );
     }
@@ -436,7 +436,7 @@ fn options_that_let_nobody_or_anybody_in_are_refused() {
         roles: Vec::new(),
         ..options(ISSUER)
     };
-    assert!(matches!(Oidc::new(nobody, &public), Err(OidcError::NoRoles)));
+    assert!(matches!(Oidc::new(nobody, &public, None), Err(OidcError::NoRoles)));
     for roles in ["staff", "=view", "staff=", "staff=root", "staff=view,"] {
         assert!(roles.parse::<GroupRoles>().is_err(), "{roles}");
     }

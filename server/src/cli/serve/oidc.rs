@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use crate::access::{GroupRoles, Oidc, OidcError, OidcOptions, PublicUrl};
+use crate::access::{GroupRoles, Oidc, OidcError, OidcOptions, PublicUrl, SessionKey};
 
 /// Arguments of `isopeel serve` about an issuer.
 #[derive(Debug, clap::Args)]
@@ -54,8 +54,14 @@ impl OidcArgs {
         self.oidc_client_secret_file.as_ref()
     }
 
-    /// Returns the sign-in of the arguments, if they name an issuer. `is_open` means that the server runs without authentication.
-    pub(super) fn open(&self, public: Option<&PublicUrl>, is_open: bool) -> Result<Option<Oidc>, Error> {
+    /// Returns the sign-in of the arguments, if they name an issuer. `is_open` means that the server runs without authentication; `key` is
+    /// the one that several servers share.
+    pub(super) fn open(
+        &self,
+        public: Option<&PublicUrl>,
+        is_open: bool,
+        key: Option<&SessionKey>,
+    ) -> Result<Option<Oidc>, Error> {
         let Some(issuer) = &self.oidc_issuer else {
             return Ok(None);
         };
@@ -81,6 +87,6 @@ impl OidcArgs {
             groups_claim: self.oidc_groups_claim.clone(),
             roles: self.oidc_role.clone(),
         };
-        Ok(Some(Oidc::new(options, public)?))
+        Ok(Some(Oidc::new(options, public, key)?))
     }
 }

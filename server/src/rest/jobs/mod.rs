@@ -38,7 +38,12 @@ impl ApiState {
     /// Returns the batch jobs, or an error if the server has no state folder for them.
     fn jobs(&self) -> Result<&Jobs, ApiError> {
         self.jobs.as_ref().ok_or_else(|| {
-            let message = "this server keeps no batch jobs, expected one that was started with --state-folder DIR";
+            let message = match &self.job_server {
+                None => "this server keeps no batch jobs, expected one that was started with --state-folder DIR".into(),
+                Some(name) => format!(
+                    "this server keeps no batch jobs: of the servers behind this address, {name:?} takes them and has those there are"
+                ),
+            };
             ApiError::new(StatusCode::NOT_IMPLEMENTED, "jobs-off", message)
         })
     }
