@@ -38,7 +38,7 @@ GIVENS = {
     "edit_mb": Given(3.8, "MB sent for an edit of the isovalue, 512³, as a volume opens", f"{MEASURED}, BENCHMARKS.md, H200"),
     "open_mb": Given(3.8, "MB sent when a volume is opened", f"{ASSUMED}, as an edit"),
     "load_gbs": Given(1.3, "GB/s at which a server reads a time step", f"{MEASURED}, BENCHMARKS.md: 0.54 GB in 0.40 s"),
-    "back_s": Given(2.8, "s until edits work again after a server was killed, a small volume", f"{MEASURED}, above, on a machine with other work"),
+    "back_s": Given(1.8, "s until edits work again after a server was killed, a small volume", f"{MEASURED}, above, nginx, the slowest of four"),
     "host_gb": Given(1.9, "GB of host memory for 1,000 viewers, beyond volumes", f"{MEASURED}, reliability.md"),
     "page_mb": Given(0.44, "MB of the page, compressed", f"{MEASURED}, web/dist"),
     "summary_b": Given(134, "bytes of a volume in the list of volumes", f"{MEASURED}, without notices"),

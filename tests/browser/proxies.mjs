@@ -25,7 +25,7 @@ export const freePort = () =>
   });
 
 /** Text with other values in place of some, each of which it has. */
-export function replaced(text, others) {
+function replaced(text, others) {
   return Object.entries(others).reduce((text, [before, now]) => {
     assert.ok(text.includes(before), before);
     return text.replaceAll(before, now);

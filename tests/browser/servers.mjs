@@ -2,7 +2,9 @@
 
 import assert from "node:assert/strict";
 import { execFileSync } from "node:child_process";
+import { generateKeyPairSync, sign } from "node:crypto";
 import { cpSync, mkdtempSync, rmSync, writeFileSync } from "node:fs";
+import { createServer } from "node:http";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
 import { test } from "node:test";
@@ -229,6 +231,68 @@ async function comeBack(at, dying, { pages }, volume) {
     await page.close();
   }
 }
+
+/** An issuer that confirms ann, whatever code it is shown; the nonce is that of `issuer.nonce`. */
+async function startIssuer() {
+  const { privateKey, publicKey } = generateKeyPairSync("rsa", { modulusLength: 2048 });
+  const at = {};
+  const encoded = (value) => Buffer.from(JSON.stringify(value)).toString("base64url");
+  const token = () => {
+    const now = Math.floor(Date.now() / 1000);
+    const text = `${encoded({ alg: "RS256", kid: "1" })}.${encoded({ iss: at.url, aud: "isopeel", sub: "ann", iat: now, exp: now + 60, nonce: at.nonce, groups: ["staff"] })}`;
+    return `${text}.${sign("sha256", text, privateKey).toString("base64url")}`;
+  };
+  const answers = {
+    "/.well-known/openid-configuration": () => ({
+      issuer: at.url,
+      authorization_endpoint: `${at.url}/authorize`,
+      token_endpoint: `${at.url}/token`,
+      jwks_uri: `${at.url}/keys`,
+      id_token_signing_alg_values_supported: ["RS256"],
+      response_types_supported: ["code"],
+      subject_types_supported: ["public"],
+    }),
+    "/keys": () => ({ keys: [{ ...publicKey.export({ format: "jwk" }), kid: "1", use: "sig", alg: "RS256" }] }),
+    "/token": () => ({ id_token: token(), access_token: "none", token_type: "Bearer" }),
+  };
+  const server = createServer((request, response) => {
+    response.setHeader("content-type", "application/json");
+    response.end(JSON.stringify(answers[request.url]()));
+  });
+  await new Promise((done) => server.listen(0, "127.0.0.1", done));
+  at.url = `http://127.0.0.1:${server.address().port}`;
+  at.stop = () => (server.closeAllConnections(), server.close());
+  return at;
+}
+
+test("a sign-in that begins at one server ends at another, and is valid at both", { timeout: 2 * TIMEOUT_MS }, async () => {
+  const [folder, issuer] = [mkdtempSync(join(tmpdir(), "isopeel-servers-")), await startIssuer()];
+  const files = { token: join(folder, "token"), session: join(folder, "session") };
+  writeFileSync(files.token, TOKEN);
+  writeFileSync(files.session, "b".repeat(48));
+  const shared = ["--public-url", "http://localhost:8417", "--token-file", files.token, "--oidc-issuer", issuer.url, "--oidc-client-id", "isopeel", "--oidc-role", "staff=edit"];
+  const [one, other, alone] = await Promise.all([["--session-key-file", files.session], ["--session-key-file", files.session], []].map((key) => startServer([], { demo: true, options: [...shared, ...key] })));
+  const get = ({ url }, path, cookie) => fetch(`${url}/api/v1/${path}`, { redirect: "manual", headers: cookie === undefined ? {} : { cookie } });
+  const cookieOf = (response) => response.headers.getSetCookie().map((text) => text.split(";")[0]);
+  try {
+    const left = await get(one, "oidc/login");
+    const leaving = new URL(left.headers.get("location"));
+    issuer.nonce = leaving.searchParams.get("nonce");
+    const back = `oidc/callback?code=any&state=${leaving.searchParams.get("state")}`;
+    const [secret] = cookieOf(left);
+    assert.match((await get(alone, back, secret)).headers.get("location"), /#sign-in-failed=/, "without the key it is another server's");
+    const [session] = cookieOf(await get(other, back, secret));
+    for (const server of [one, other]) {
+      const answer = await get(server, "session", session);
+      assert.deepEqual([answer.status, (await answer.json()).roles], [200, ["view", "edit"]]);
+    }
+    assert.equal((await get(alone, "session", session)).status, 401);
+  } finally {
+    issuer.stop();
+    await Promise.all([one, other, alone].map((server) => server.stop()));
+    rmSync(folder, { recursive: true });
+  }
+});
 
 for (const [name, startProxy, skip] of [
   ["nginx", startNginxOfMany, false],

@@ -120,8 +120,32 @@ async fn volumes_are_listed_without_a_device() {
         "steps": 2,
         "fields": ["value"],
         "notice": "made here",
+        "jobServer": null,
     }]);
     assert_eq!(body(response).await, expected);
+}
+
+#[tokio::test]
+async fn of_several_servers_lists_and_errors_name_the_one_for_jobs_and_uploads() {
+    let several = state().with_job_server(Some("first".into()));
+    let behind_a_gate = router(several).layer(Extension(Identity::without_token()));
+    let get = |path: &str| {
+        behind_a_gate
+            .clone()
+            .oneshot(Request::get(path).body(Body::empty()).unwrap())
+    };
+    let listed = body(get("/api/v1/volumes").await.unwrap()).await;
+    assert_eq!(listed[0]["jobServer"], "first");
+    for (path, code) in [("/api/v1/jobs/1", "jobs-off"), ("/api/v1/uploads/1", "uploads-off")] {
+        let detail = problem(get(path).await.unwrap(), StatusCode::NOT_IMPLEMENTED, code).await;
+        assert!(detail.contains("\"first\" takes them"), "{detail}");
+    }
+    let unknown = get("/api/v1/volumes/upload-1").await.unwrap();
+    let detail = problem(unknown, StatusCode::NOT_FOUND, "unknown-volume").await;
+    assert!(
+        detail.ends_with("an upload belongs to the server that took it"),
+        "{detail}"
+    );
 }
 
 #[tokio::test]
