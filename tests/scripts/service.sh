@@ -84,5 +84,5 @@ chmod 755 "$work" "$work/test.sh"
 timeout --kill-after=10 600 systemd-nspawn --quiet --register=no --keep-unit --private-network --volatile=overlay --directory="target/roots/$suite-with" \
     --bind="$work:/test" --boot systemd.run=/test/test.sh systemd.run_success_action=exit systemd.run_failure_action=exit </dev/null >"$work/boot" 2>&1 || true
 [ "$(cat "$work/result")" = passed ] || { tail -n 20 "$work/boot" >&2 && cat "$work/log" >&2 && echo "service.sh: failed on $suite" >&2 && exit 1; }
-grep 'restart to\|stop:\|exposure' "$work/log"
+grep 'restart to\|stop:\|exposure\|process of the device\|of the device was killed' "$work/log"
 echo "service.sh: the service runs on $suite"
