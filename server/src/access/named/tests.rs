@@ -46,15 +46,27 @@ fn a_shared_folder_is_one_whose_files_others_cannot_replace() {
     use std::os::unix::fs::PermissionsExt;
     let folder = tempfile::tempdir().unwrap();
     let set = |mode| std::fs::set_permissions(folder.path(), std::fs::Permissions::from_mode(mode)).unwrap();
-    TokenFile::in_folder(folder.path()).create(new("ann", &[Role::View])).unwrap();
+    TokenFile::in_folder(folder.path())
+        .create(new("ann", &[Role::View]))
+        .unwrap();
     // A secret of Kubernetes is in a folder with the sticky bit.
     for mode in [0o700, 0o755, 0o1777] {
         set(mode);
-        assert_eq!(TokenFile::in_shared_folder(folder.path()).unwrap().list().unwrap().len(), 1);
+        assert_eq!(
+            TokenFile::in_shared_folder(folder.path())
+                .unwrap()
+                .list()
+                .unwrap()
+                .len(),
+            1
+        );
     }
     set(0o777);
     let error = TokenFile::in_shared_folder(folder.path()).unwrap_err();
-    assert!(matches!(&error, TokenFileError::WritableFolder(path) if path == folder.path()), "{error}");
+    assert!(
+        matches!(&error, TokenFileError::WritableFolder(path) if path == folder.path()),
+        "{error}"
+    );
     let missing = TokenFile::in_shared_folder(&folder.path().join("none")).unwrap_err();
     assert!(matches!(missing, TokenFileError::Io { .. }));
 }
