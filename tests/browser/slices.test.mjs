@@ -132,7 +132,7 @@ test("wheel and keys go through the slices, the right button changes window and 
   await slice.press("Shift+ArrowLeft");
   await slice.press("Shift+PageDown");
   assert.deepEqual(await crosshair(page), [16, 24, 12]);
-  await panel(page).getByRole("button", { name: "Next across y slice" }).click();
+  await panel(page).getByRole("button", { name: "Next perpendicular to y slice" }).click();
   assert.deepEqual(await crosshair(page), [16, 25, 12]);
   await drawn(page);
 
@@ -257,7 +257,7 @@ test("those who follow see the same slices", { ...MORE, timeout: 4 * TIMEOUT_MS 
   await pane(follower.page, "z").press("s");
   await pane(follower.page, "z").click({ position: { x: 20, y: 20 } });
   assert.deepEqual(await crosshair(follower.page), [25, 23, 23]);
-  assert.equal(await panel(follower.page).getByRole("button", { name: "Next across z slice" }).isDisabled(), true);
+  assert.equal(await panel(follower.page).getByRole("button", { name: "Next perpendicular to z slice" }).isDisabled(), true);
   assert.equal(await follower.page.getByRole("button", { name: "Slices beside the picture" }).getAttribute("aria-disabled"), "true");
   await leader.page.getByRole("button", { name: "Slices beside the picture" }).click();
   await panel(follower.page).waitFor({ state: "detached" });
@@ -290,7 +290,7 @@ test("a server that refuses is said, the last slices stay as old ones, and nothi
   assert.deepEqual([asked, (await status(page)).framesDrawn], [3, framesDrawn]);
 
   isBusy = true;
-  await panel(page).getByRole("button", { name: "Next across y slice" }).click();
+  await panel(page).getByRole("button", { name: "Next perpendicular to y slice" }).click();
   await panel(page).getByText("The slices cannot be shown: 8 slices are being made, which is the maximum. What is marked as old is from before").waitFor();
   await panel(page).getByText("old: 23").waitFor();
   assert.equal(asked, 5, "asked twice");
