@@ -234,6 +234,7 @@ pub const IN_TEXT: &[(&str, How)] = &[
     ("ulimit -f", Form),
     ("ulimit -u", Form),
     ("docker stop --time", Form),
+    ("podman kube play", Form),
     // Run here, with a file for VOLUME, FILE and PATH.
     ("isopeel info PATH", Run),
     ("isopeel info FILE", Run),
