@@ -170,6 +170,8 @@ pub const COMMANDS: &[(&str, &[(&str, How)])] = &[
         ("openssl rand -hex 32 | tr -d '\\n' >token", Run),
         ("kubectl --namespace isopeel create secret generic isopeel-token --from-file=token", By(KUBERNETES, "def check_readme")),
         ("kubectl apply -k docker/kubernetes/base", By(KUBERNETES, "kustomize")),
+        ("kubectl --namespace isopeel port-forward service/isopeel 8417", Not(NO_CLUSTER)),
+        ("kubectl --namespace isopeel exec isopeel-0 -- isopeel token create --user ann --role edit --expires 30d", Not(NO_CLUSTER)),
         ("isopeel token create --state-folder . --user ann --role edit --expires 30d", By("tests/browser/servers.mjs", "\"token\", \"create\", \"--state-folder\"")),
         ("kubectl --namespace isopeel create secret generic isopeel-tokens --from-file=tokens.json", By(KUBERNETES, "def check_readme")),
         ("openssl rand -hex 32 | tr -d '\\n' >key", Run),
@@ -177,8 +179,6 @@ pub const COMMANDS: &[(&str, &[(&str, How)])] = &[
         ("kubectl --namespace ingress-nginx create configmap ingress-nginx-controller --from-file=http-snippet=docker/nginx/choose.conf --dry-run=client --output=yaml | kubectl apply --server-side --force-conflicts --filename -",
             By(KUBERNETES, "def check_readme")),
         ("kubectl apply -k docker/kubernetes/many", By(KUBERNETES, "kustomize")),
-        ("kubectl --namespace isopeel port-forward service/isopeel 8417", Not(NO_CLUSTER)),
-        ("kubectl --namespace isopeel exec isopeel-0 -- isopeel token create --user ann --role edit --expires 30d", Not(NO_CLUSTER)),
     ]),
     ("docker/Dockerfile", &[
         ("docker build -f docker/Dockerfile --target cpu -t isopeel:cpu .", By("tests/scripts/containers.sh", "build cpu isopeel:cpu")),
