@@ -65,7 +65,7 @@ fn refused(folder: &tempfile::TempDir, words: &str) {
 #[test]
 fn claims_are_not_allocated() {
     let chunk = gzip(&[7; 8]);
-    let large = "[60000,60000,60000]";
+    let large = "[30000,30000,30000]";
     refused(
         &array(large, "[1024,1024,1024]", GZIP, &chunk),
         "stored bytes cannot hold",
