@@ -23,7 +23,7 @@ BEGIN, END = "<!-- docs/plan.py -->", "<!-- end of docs/plan.py -->"
 
 @dataclasses.dataclass(frozen=True)
 class Given:
-    """A number of the model, and where it is from."""
+    """A number of the model, and its source."""
 
     value: float
     text: str
@@ -58,7 +58,7 @@ GIVENS = {
     "failure_h": Given(2000, "h between two failures of a server", ASSUMED),
 }
 CASES = [(2, 1_500), (10, 8_000), (100, 80_000), (1_000, 800_000), (1_000, 1_000_000), (1_250, 1_000_000)]
-# Viewers of a volume come in so many parts, one of each volume after the other.
+# The viewers of a volume are divided into this many parts. One part of each volume comes after the other.
 ROUNDS = 10
 
 

@@ -4,7 +4,7 @@
  * Server, headless chromium and software rendering on one machine, with the demo volume. Edits the isovalue and α from the
  * keyboard, each when the last one is settled. The page's sockets, worker and animation frames are observed from outside; the
  * viewer has no code for it. A frame counts when the GPU has finished it. With `--mbit` the page is behind a relay of this rate, and a
- * round trip of so many milliseconds.
+ * round trip of that many milliseconds.
  */
 
 import { parseArgs } from "node:util";

@@ -15,7 +15,7 @@ const ANSWER_MS = 10_000;
 
 export const hasEnvoy = existsSync(ENVOY);
 
-/** A port that nobody has now. */
+/** A port that is free now. */
 export const freePort = () =>
   new Promise((done) => {
     const server = createServer().listen(0, "127.0.0.1", () => {

@@ -124,7 +124,7 @@ async function jobsAndUploads(at) {
   const elsewhere = await (await fetch(`${second.url}/api/v1/jobs/${id}`, { headers: BEARER })).json();
   assert.deepEqual([elsewhere.code, elsewhere.detail], ["jobs-off", 'this server keeps no batch jobs: of the servers behind this address, "first" takes them and has those there are']);
 
-  // A volume that was uploaded is looked at where it is.
+  // An uploaded volume is shown by the server that has it.
   const header = "NRRD0004\ntype: uint8\ndimension: 3\nsizes: 8 8 8\nencoding: raw\n\n";
   const file = Buffer.concat([Buffer.from(header), Buffer.from(Array.from({ length: 512 }, (_, n) => 10 * (n % 8)))]);
   const declared = await (await at.api("uploads", { method: "POST", data: { files: [{ name: "a.nrrd", bytes: file.length }] } })).json();
@@ -214,7 +214,7 @@ async function kill(at, dying, [volume, other]) {
   return { pages, times: times.slice(0, 2) };
 }
 
-/** The server is back: viewers stay where they are, and new ones go to it. */
+/** The server is back: viewers stay at the other one, and new viewers go to it. */
 async function comeBack(at, dying, { pages }, volume) {
   at.servers[dying] = await at.start(dying);
   const watches = pages.map(({ page }) => watch(page));
@@ -225,7 +225,7 @@ async function comeBack(at, dying, { pages }, volume) {
   const fresh = await at.open(volume);
   await settled(fresh.page);
   assert.equal(await viewers(at.servers[dying]), 1, "a new viewer is at the server that is back");
-  for (const end of watches) assert.deepEqual([...(await end()).states], ["connected"], "nobody is moved");
+  for (const end of watches) assert.deepEqual([...(await end()).states], ["connected"], "no viewer is moved");
   for (const { page, faults } of [...pages, fresh]) {
     assert.deepEqual(faults, []);
     await page.close();

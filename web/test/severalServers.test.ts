@@ -57,7 +57,7 @@ describe("the address of the stream", () => {
     expect(server.queries).toEqual(["?volume=ball"]);
   });
 
-  test("stays, where there is one server", async () => {
+  test("stays if there is one server", async () => {
     several = false;
     page.open("ball", 0);
     page.client.start();

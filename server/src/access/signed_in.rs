@@ -242,7 +242,7 @@ mod tests {
         assert_eq!((&here.name, here.expires), (&there.name, there.expires));
         assert!(foreign.find(&secret).is_none() && Sessions::default().find(&secret).is_none());
         assert_ne!(one.secret("ann", roles, 60).unwrap(), secret);
-        // Signing out ends it where that is asked for, also if another server has begun it.
+        // Signing out ends it at the server that is asked, also if another server has begun it.
         assert!(other.end(&secret) && there.ended.is_cancelled());
         assert!(other.find(&secret).is_none(), "it has ended here");
         assert!(one.find(&secret).is_some(), "the other server is not told");

@@ -19,7 +19,6 @@ use self::claims::{Claims, ClaimsError, Expected};
 use self::pending::PendingSignIns;
 use self::provider::{Exchange, Provider, ProviderError, form_value, is_safe};
 use super::PublicUrl;
-use super::named::now;
 use super::role::{Role, Roles};
 use super::sealed::SessionKey;
 use super::token::TokenError;
@@ -158,7 +157,7 @@ impl Oidc {
     /// Begins a sign-in. Returns the address of the issuer to which the browser is redirected, and a secret for the cookie of the sign-in.
     pub(super) async fn begin(&self) -> Result<(String, String), ApiError> {
         let (metadata, _) = self.provider.metadata(false).await.map_err(issuer_error)?;
-        let (secret, state, sign_in) = self.pending.begin(now()).map_err(no_random)?;
+        let (secret, state, sign_in) = self.pending.begin(self.pending.now()).map_err(no_random)?;
         let redirect = self.redirect();
         let mut address = metadata.authorization_endpoint.0;
         address
@@ -176,7 +175,7 @@ impl Oidc {
 
     /// Completes a sign-in after the browser has returned from the issuer with a code, a state and the secret of its cookie.
     pub(super) async fn end(&self, secret: Option<&str>, state: &str, code: &str) -> Result<ConfirmedUser, ApiError> {
-        let sign_in = secret.and_then(|secret| self.pending.end(secret, state, now()));
+        let sign_in = secret.and_then(|secret| self.pending.end(secret, state, self.pending.now()));
         let sign_in = sign_in.ok_or_else(|| {
             refused("this sign-in began in another browser, was used, or took longer than ten minutes")
         })?;

@@ -6,7 +6,7 @@
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use base64::Engine;
 use base64::engine::general_purpose::URL_SAFE_NO_PAD;
@@ -14,6 +14,7 @@ use ring::hmac::{HMAC_SHA256, Key, sign};
 use sha2::{Digest, Sha256};
 use subtle::ConstantTimeEq;
 
+use crate::access::named::now;
 use crate::access::sealed::SessionKey;
 use crate::access::token::TokenError;
 
@@ -42,6 +43,8 @@ impl PendingSignIn {
 #[derive(Clone, Debug)]
 pub(super) struct PendingSignIns {
     key: Arc<Key>,
+    /// When the server started, and the Unix time in seconds then.
+    started: (Instant, u64),
     /// Begin of each completed sign-in in seconds of Unix time, by its state.
     used: Arc<Mutex<HashMap<String, u64>>>,
 }
@@ -59,8 +62,15 @@ impl PendingSignIns {
         };
         Ok(Self {
             key: Arc::new(key),
+            started: (Instant::now(), now()),
             used: Arc::default(),
         })
+    }
+
+    /// Returns the Unix time in seconds by a monotonic clock, so that sign-ins in progress continue when the clock of the machine is set.
+    pub(super) fn now(&self) -> u64 {
+        let (instant, unix) = self.started;
+        unix.saturating_add(instant.elapsed().as_secs())
     }
 
     /// Begins a sign-in at `now`, in seconds of Unix time. Returns the secret for the browser, the state, and the other values for the

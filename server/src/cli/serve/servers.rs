@@ -17,7 +17,7 @@ pub struct ServersArgs {
     #[arg(long, value_name = "DIR")]
     token_folder: Option<PathBuf>,
 
-    /// File whose only line is a secret that all servers behind a proxy have: somebody who has signed in at one of them is signed in at all, and
+    /// File whose only line is a secret that all servers behind a proxy have: a user who has signed in at one of them is signed in at all, and
     /// tokens for frames are valid at all
     #[arg(long, value_name = "FILE")]
     session_key_file: Option<PathBuf>,
