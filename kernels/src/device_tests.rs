@@ -5,7 +5,7 @@ use crate::check::{self, Check};
 use crate::context::read_back::Blocks;
 use crate::expression::{Binary, Op};
 use crate::lock::lock;
-use crate::testing::device;
+use crate::testing::{compiled_soon, device};
 use crate::{DeviceKind, Engine, Error, Expression, Grid, Never, SampleType, Samples, Tuning, layout, stages};
 
 #[test]
@@ -273,6 +273,7 @@ fn the_check_finds_nothing_with_kernels_of_the_other_kind_or_small_groups() {
     let Some(engine) = device() else { return };
     let name = engine.device().name.clone();
     for tuning in [Tuning::GPU, Tuning::GPU_SMALL] {
+        let tuning = compiled_soon(tuning, engine.device());
         let engine = Engine::open_tuned(Some(&name), None, Some(tuning)).expect("a device");
         check_all(&engine, SampleType::U8);
     }

@@ -6,7 +6,8 @@ use crate::layout::{self, Brick, Counters, Node, RegionMesh, TreeNode, TreeRegio
 use crate::lock::lock;
 use crate::stages::{self, cut, march, patch};
 use crate::{
-    Cut, CutParams, Engine, Error, Grid, Level, Never, Pyramid, Result, Surface, VertexTree, Volume, constants, tables,
+    Cut, CutParams, DeviceInfo, DeviceKind, Engine, Error, Grid, Level, Never, Pyramid, Result, Surface, Tuning,
+    VertexTree, Volume, constants, tables,
 };
 use std::ops::{Deref, DerefMut};
 use std::sync::{Arc, Mutex, MutexGuard};
@@ -61,6 +62,24 @@ pub fn device() -> Option<Device> {
         }
         Err(e) => panic!("{e}"),
     }
+}
+
+/// Returns a setting that a driver compiles in seconds: PoCL takes minutes to optimise kernels with the work-groups of a GPU.
+pub fn compiled_soon(tuning: Tuning, device: &DeviceInfo) -> Tuning {
+    Tuning {
+        optimises: device.kind != DeviceKind::Cpu,
+        ..tuning
+    }
+}
+
+/// Opens the device again, with the kernels for GPUs. `limit_bytes`: as in [`Engine::open_limited`].
+///
+/// # Panics
+/// The device does not open.
+pub fn with_gpu_kernels(engine: &Engine, limit_bytes: Option<u64>) -> Engine {
+    let device = engine.device();
+    let tuning = compiled_soon(Tuning::GPU, device);
+    Engine::open_tuned(Some(&device.name), limit_bytes, Some(tuning)).expect("the device opens again")
 }
 
 /// Lowers or restores the largest allocation, which cuts volumes into slabs; returns the limit before.

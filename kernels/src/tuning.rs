@@ -2,7 +2,7 @@
 
 use crate::{DeviceInfo, DeviceKind};
 
-/// Sizes; `cl/` knows all but the last as `GROUP`, `WIDE_GROUP`, `BRICK_GROUP`, `LANES`, `RUN` and `PREFETCHES`.
+/// Sizes; `cl/` knows all but the last two as `GROUP`, `WIDE_GROUP`, `BRICK_GROUP`, `LANES`, `RUN` and `PREFETCHES`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Tuning {
@@ -21,6 +21,8 @@ pub struct Tuning {
     pub prefetches: bool,
     /// Active bricks whose nodes one launch makes. On a CPU a launch ends within about 50 ms, so that other jobs get the device soon.
     pub launch_bricks: usize,
+    /// Whether the driver's compiler optimises.
+    pub optimises: bool,
 }
 
 impl Tuning {
@@ -34,6 +36,7 @@ impl Tuning {
         regions_in_run: 1,
         prefetches: false,
         launch_bricks: 4096,
+        optimises: true,
     };
 
     /// A GPU hides the latency of memory with many work-items, each of which is one lane of its hardware.
@@ -45,6 +48,7 @@ impl Tuning {
         regions_in_run: 8,
         prefetches: false,
         launch_bricks: usize::MAX,
+        optimises: true,
     };
 
     /// As [`Tuning::GPU`] with small work-groups, for drivers that fail with large ones.
@@ -72,13 +76,14 @@ impl Tuning {
     /// As build options.
     pub(crate) fn defines(&self) -> String {
         format!(
-            "-DGROUP={} -DWIDE_GROUP={} -DBRICK_GROUP={} -DLANES={} -DRUN={} -DPREFETCHES={}",
+            "-DGROUP={} -DWIDE_GROUP={} -DBRICK_GROUP={} -DLANES={} -DRUN={} -DPREFETCHES={}{}",
             self.region_group,
             self.wide_group,
             self.brick_group,
             self.lanes,
             self.regions_in_run,
-            u32::from(self.prefetches)
+            u32::from(self.prefetches),
+            if self.optimises { "" } else { " -cl-opt-disable" }
         )
     }
 }

@@ -2,7 +2,8 @@
 //! crossing of a line against every triangle, every sample of a triangle against points all over the surface. A device's
 //! result is at least `low`. It exceeds `high` only if its search misses the nearest point.
 
-use std::collections::{BTreeMap, HashSet};
+use rustc_hash::FxHashSet as HashSet;
+use std::collections::BTreeMap;
 
 use crate::quadric::{Vector, dot};
 use crate::trilinear::{field_at, interpolate};
@@ -353,7 +354,7 @@ pub fn bounds(
     let steps = if has_missing { 5 } else { 2 };
     let points = surface_points(field, iso, cap, steps);
     let between = BETWEEN_POINTS * length(spacing);
-    let mut seen = HashSet::new();
+    let mut seen = HashSet::default();
     for triangle in triangles {
         let sums = &mut regions.entry(triangle.region).or_default().to_surface;
         let corners = triangle

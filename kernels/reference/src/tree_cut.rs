@@ -1,6 +1,7 @@
 //! Cuts of the vertex tree, and their triangles (docs/algorithm.md#8-cuts-of-the-vertex-tree).
 
-use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
+use rustc_hash::{FxHashMap as HashMap, FxHashSet as HashSet};
+use std::collections::{BTreeMap, BTreeSet};
 
 use isopeel_kernels::{CutParams, TreeGoal};
 
@@ -326,7 +327,7 @@ impl Cutter<'_> {
             }
         }
         // Directed edges of a surface differ.
-        let mut edges = HashSet::new();
+        let mut edges = HashSet::default();
         for (a, b, _) in corners().filter(|&(a, b, _)| !edges.insert([a, b])) {
             marks.extend(node_of(a.max(b)));
         }

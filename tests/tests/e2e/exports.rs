@@ -85,13 +85,16 @@ fn the_outside_of_a_closed_surface_is_away_from_what_it_encloses() {
     let ball = 4.0 / 3.0 * std::f64::consts::PI * 24.2f64.powi(3);
     for format in ["glb", "ply", "stl", "vtp", "obj"] {
         let in_unit = if format == "glb" { 1e-9 } else { 1.0 };
-        for (volume_file, options, outward, sign) in [
-            (&high, "", "low", 1.0),
+        let cases = [
             (&low, "", "high", 1.0),
+            (&high, "--outward high", "high", -1.0),
+            (&high, "", "low", 1.0),
             (&low, "--outward low", "low", -1.0),
             (&low, "--outward high", "high", 1.0),
-            (&high, "--outward high", "high", -1.0),
-        ] {
+        ];
+        // All with one format: the writers see two kinds, turned and not.
+        let cases = if format == "stl" { &cases[..] } else { &cases[..2] };
+        for &(volume_file, options, outward, sign) in cases {
             let (statistics, _, mesh) = setting.extract(volume_file, &format!("--iso 0 {options}"), format);
             let share = volume(&mesh) / (ball * in_unit);
             assert!((share / sign - 1.0).abs() < 0.02, "{format} {options}: {share}");

@@ -232,6 +232,10 @@ fn equal_requests_have_equal_bytes_which_can_be_resumed() {
         let whole = http::get(address, &path);
         assert_eq!(whole.status, 200, "{}", String::from_utf8_lossy(&whole.body));
         assert!(whole.body == posted, "{format}: POST and GET");
+        // What follows does not look into the bytes.
+        if format != "glb" {
+            continue;
+        }
         let ask = |method: &str, headers: &[(&str, &str)]| {
             http::send(address, method, &path, headers, b"").expect("an answer")
         };

@@ -4,11 +4,12 @@ use super::recipes::{Pattern, Random, recipes, surfaces};
 use super::tree::plant;
 use super::tree_cut::cut;
 use super::*;
-use isopeel_kernels::{PartFilter, TreeGoal, Tuning};
+use isopeel_kernels::testing::with_gpu_kernels;
+use isopeel_kernels::{PartFilter, TreeGoal};
 use isopeel_reference::cell_values::{self, CellValues};
 use isopeel_reference::cut::normalised_feature;
 use isopeel_reference::tree::LATTICE;
-use std::collections::HashMap;
+use rustc_hash::FxHashMap as HashMap;
 
 /// Lattice units of a vertex in one of the twin.
 const STEPS: i64 = Vertex::LATTICE as i64 / LATTICE as i64;
@@ -82,7 +83,7 @@ fn check(engine: &Engine, recipe: &Recipe, seed: u64) -> Result<[usize; 2], Test
     let trees = goals.iter().map(|goal| cut(engine, &planted, &params, goal).0);
     let state = host.random_state(seed, Topology::Free);
     let cubes = mesh(engine, &planted.loaded, &planted.pyramid, &params, &state);
-    let (mut found, mut alone, mut all) = (Found::new(), 0, 0);
+    let (mut found, mut alone, mut all) = (Found::default(), 0, 0);
     for surface in trees.chain([cubes]) {
         alone += check_surface(&cells, dims, &params, &surface, &mut found)?;
         all += surface
@@ -106,7 +107,7 @@ fn values_at_vertices_are_the_datas_in_every_cut() {
 fn few_vertices_of_a_smooth_surface_are_far_from_it() {
     let Some(engine) = device() else { return };
     let recipe = Recipe::plain([40, 37, 41], Pattern::Waves(0), 5);
-    let of_gpu = Engine::open_tuned(Some(&engine.device().name), None, Some(Tuning::GPU)).expect("open");
+    let of_gpu = with_gpu_kernels(&engine, None);
     for engine in [&engine, &of_gpu] {
         let [alone, all] = check(engine, &recipe, Random(3).next()).expect("the twin's values");
         assert!(alone * 100 <= all && all > 1000, "{alone} of {all} vertices");

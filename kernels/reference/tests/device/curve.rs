@@ -5,7 +5,8 @@ use super::recipes::{Pattern, Random, recipes, surfaces};
 use super::tree::{Planted, plant, plant_in};
 use super::tree_cut::cut;
 use super::*;
-use isopeel_kernels::{CURVE_POINTS, CurvePoint, PartFilter, Samples, ShownCut, TreeGoal, Tuning};
+use isopeel_kernels::testing::with_gpu_kernels;
+use isopeel_kernels::{CURVE_POINTS, CurvePoint, PartFilter, Samples, ShownCut, TreeGoal};
 use isopeel_reference::curve::squared_error;
 use isopeel_reference::tree_cut::Cutter;
 use isopeel_reference::tree_part::total_area;
@@ -88,7 +89,7 @@ fn curves_of_the_tree_are_the_twins() {
 #[test]
 fn work_groups_of_a_gpu_sum_the_same() {
     let Some(engine) = device() else { return };
-    let of_gpu = Engine::open_tuned(Some(&engine.device().name), None, Some(Tuning::GPU)).expect("open");
+    let of_gpu = with_gpu_kernels(&engine, None);
     let recipe = Recipe::plain([38, 20, 35], Pattern::Waves(15), 9);
     check_tree(&of_gpu, &recipe, 4).expect("the twin's curve");
     check_cubes(&of_gpu, &recipe, None).expect("the cuts' errors");

@@ -3,8 +3,8 @@
 use super::recipes::{DIMS, Pattern, any_recipe};
 use super::*;
 use isopeel_kernels::expression::{Expression, Op};
-use isopeel_kernels::testing::{LAYER_PLANES, limit_allocations, slab_count};
-use isopeel_kernels::{Histogram, RectilinearGrid, SampleType, Samples, Tuning, VectorFeature};
+use isopeel_kernels::testing::{LAYER_PLANES, limit_allocations, slab_count, with_gpu_kernels};
+use isopeel_kernels::{Histogram, RectilinearGrid, SampleType, Samples, VectorFeature};
 use isopeel_reference::{Feature as TwinFeature, construct, derive, histogram};
 
 /// Features of a neighbourhood.
@@ -173,7 +173,7 @@ fn uneven_axes_have_the_twins_features() {
 #[test]
 fn uneven_axes_of_every_extent_have_the_twins_features() {
     let Some(engine) = device() else { return };
-    let of_gpu = Engine::open_tuned(Some(&engine.device().name), None, Some(Tuning::GPU)).expect("open");
+    let of_gpu = with_gpu_kernels(&engine, None);
     for i in 0..DIMS.len() {
         let recipe = Recipe::waves_on(i);
         check_uneven(if i % 3 == 2 { &of_gpu } else { &engine }, &recipe).expect("the same features");

@@ -2,7 +2,8 @@
 
 use super::recipes::{Pattern, recipes};
 use super::*;
-use isopeel_kernels::{DistanceOf, SampleType, Tuning};
+use isopeel_kernels::testing::with_gpu_kernels;
+use isopeel_kernels::{DistanceOf, SampleType};
 use isopeel_reference::distance::distances;
 
 /// Extents for which every vertex can be compared with every point of the surface.
@@ -70,8 +71,7 @@ fn vertices_are_as_far_as_brute_force_finds() {
 #[test]
 fn distances_to_a_ball_are_known() {
     let Some(engine) = device() else { return };
-    let of_gpu =
-        Engine::open_tuned(Some(&engine.device().name), Some(50 * 50 * 75 * 4), Some(Tuning::GPU)).expect("open");
+    let of_gpu = with_gpu_kernels(&engine, Some(50 * 50 * 75 * 4));
     let dims = [50u32, 50, 110];
     let value = |i: u32| {
         let at = [i % dims[0], i / dims[0] % dims[1], i / dims[0] / dims[1]].map(|x| x as f32);

@@ -4,8 +4,8 @@ use super::recipes::{DIMS, Random};
 use super::tree::Others;
 use super::*;
 use isopeel_kernels::expression::{Comparison, Expression, Op};
-use isopeel_kernels::testing::{LAYER_PLANES, limit_allocations, slab_count};
-use isopeel_kernels::{Error, RectilinearGrid, Samples, Tuning};
+use isopeel_kernels::testing::{LAYER_PLANES, limit_allocations, slab_count, with_gpu_kernels};
+use isopeel_kernels::{Error, RectilinearGrid, Samples};
 use isopeel_reference::distance_field::squares;
 use std::cell::Cell;
 
@@ -198,7 +198,7 @@ fn distances_go_through_slabs() {
 #[test]
 fn kernels_of_a_gpu_have_the_twins_distances() {
     let Some(engine) = device() else { return };
-    let of_gpu = Engine::open_tuned(Some(&engine.device().name), None, Some(Tuning::GPU)).expect("open");
+    let of_gpu = with_gpu_kernels(&engine, None);
     for (seed, is_uneven, rarity) in [(1, false, 300), (2, true, 20)] {
         let mut labels = Labels::random([41, 35, 30], [1.0, 0.5, 0.25], is_uneven, rarity, seed);
         labels.values.iter_mut().for_each(|value| *value = (*value).min(4));

@@ -5,7 +5,8 @@ use super::recipes::{Random, recipes, surfaces};
 use super::tree::plant;
 use super::tree_cut::cut;
 use super::*;
-use isopeel_kernels::{PartFilter, ShownCut, TreeGoal, Tuning};
+use isopeel_kernels::testing::with_gpu_kernels;
+use isopeel_kernels::{PartFilter, ShownCut, TreeGoal};
 use isopeel_reference::distribution::{of_cut, of_tree};
 use isopeel_reference::tree_cut::Cutter;
 use isopeel_reference::tree_part::{Filter, parts, without};
@@ -105,7 +106,7 @@ fn values_of_leaves_are_distributed_as_the_twins() {
 #[test]
 fn work_groups_of_a_gpu_count_the_same() {
     let Some(engine) = device() else { return };
-    let of_gpu = Engine::open_tuned(Some(&engine.device().name), None, Some(Tuning::GPU)).expect("open");
+    let of_gpu = with_gpu_kernels(&engine, None);
     let recipe = Recipe::plain([38, 20, 35], recipes::Pattern::Waves(15), 9);
     check_cubes(&of_gpu, &recipe, 4, 64).expect("the twin's counts");
     check_tree(&of_gpu, &recipe, 4, 256).expect("the twin's counts");

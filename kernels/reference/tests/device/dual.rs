@@ -34,7 +34,7 @@ fn any_cut_has_the_twins_polygons() {
 
         let own: HashMap<[i64; 3], Corner> = host.vertices(&state).map(|slot| (host.position(slot), host.corner(slot))).collect();
         let mut corners = own;
-        let mut got: HashMap<[Corner; 3], u32> = HashMap::new();
+        let mut got: HashMap<[Corner; 3], u32> = HashMap::default();
         for t in welded(&regions) {
             for p in t {
                 if let std::collections::hash_map::Entry::Vacant(entry) = corners.entry(p) {

@@ -2,7 +2,8 @@
 
 use std::ops::RangeInclusive;
 
-use isopeel_kernels::{SampleType, SurfaceError, Tuning};
+use isopeel_kernels::testing::with_gpu_kernels;
+use isopeel_kernels::{SampleType, SurfaceError};
 use isopeel_reference::error::{Bounds, Triangle, bounds};
 use isopeel_reference::{Feature as TwinFeature, construct};
 
@@ -311,7 +312,7 @@ fn a_call_of_its_own_measures_what_a_peel_states_and_can_be_cancelled() {
 #[test]
 fn work_groups_of_a_gpu_measure_the_same() {
     let Some(engine) = device() else { return };
-    let of_gpu = Engine::open_tuned(Some(&engine.device().name), None, Some(Tuning::GPU)).expect("open");
+    let of_gpu = with_gpu_kernels(&engine, None);
     let recipe = Recipe::plain([65, 34, 35], Pattern::Waves(15), 9);
     let measure = |engine: &Engine| {
         let loaded = load(engine, &recipe);

@@ -25,7 +25,7 @@ impl HostPyramid {
     pub fn read(engine: &Engine, pyramid: &Pyramid) -> Self {
         let contents = testing::read_pyramid(engine, pyramid).expect("read the pyramid");
         let (grid, regions, nodes) = (&contents.grid, &contents.regions, &contents.nodes);
-        let (mut leaves, mut slots) = (Vec::new(), HashMap::new());
+        let (mut leaves, mut slots) = (Vec::new(), HashMap::default());
         for region in regions {
             assert_eq!(region.slot_base as usize, leaves.len());
             for i in 0..region.level_base[7] {
@@ -158,7 +158,7 @@ impl HostPyramid {
 
     /// Slots of a cut's vertices by leaf.
     pub fn by_leaf(&self, state: &[u8]) -> HashMap<Leaf, Vec<usize>> {
-        let mut slots: HashMap<Leaf, Vec<usize>> = HashMap::new();
+        let mut slots: HashMap<Leaf, Vec<usize>> = HashMap::default();
         for slot in self.vertices(state) {
             slots.entry(self.leaves[slot]).or_default().push(slot);
         }

@@ -42,7 +42,7 @@ use isopeel_reference::{Cut, Field, Leaf, Pyramid as Twin};
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 use recipes::{Random, Recipe};
-use std::collections::HashMap;
+use rustc_hash::FxHashMap as HashMap;
 
 /// Few cases of large volumes rather than many of tiny ones; a failure prints its recipe, no file of seeds. They are the same in each run,
 /// unless the variable `ISOPEEL_TEST_TIMES` multiplies their number, as in `make fuzz`.

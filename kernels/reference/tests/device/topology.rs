@@ -9,7 +9,7 @@ use isopeel_kernels::{SampleType, Samples};
 type Edges = HashMap<[[i64; 3]; 2], [u32; 2]>;
 
 fn edges(triangles: &[[[i64; 3]; 3]]) -> Edges {
-    let mut edges = Edges::new();
+    let mut edges = Edges::default();
     for t in triangles {
         for (a, b) in [(t[0], t[1]), (t[1], t[2]), (t[2], t[0])] {
             edges.entry([a.min(b), a.max(b)]).or_default()[usize::from(a > b)] += 1;
@@ -20,7 +20,7 @@ fn edges(triangles: &[[[i64; 3]; 3]]) -> Edges {
 
 /// The leaf of every vertex, by position; no two vertices of a cut have the same position.
 fn owners(host: &HostPyramid, state: &[u8]) -> HashMap<[i64; 3], Leaf> {
-    let mut owners = HashMap::new();
+    let mut owners = HashMap::default();
     for (slot, leaf) in host.leaves.iter().enumerate() {
         if state[slot] == leaf.level {
             let taken = owners.insert(host.position(slot), *leaf);
@@ -42,7 +42,7 @@ fn may_end(field: &Field, leaves: [Leaf; 2]) -> bool {
 /// Vertices inside the surface around which triangles make more than one fan: parts meet there in a point alone.
 fn pinched(triangles: &[[[i64; 3]; 3]]) -> Vec<[i64; 3]> {
     // From one end of each opposite edge to the other: around a vertex they make loops.
-    let mut next: HashMap<[i64; 3], HashMap<[i64; 3], [i64; 3]>> = HashMap::new();
+    let mut next: HashMap<[i64; 3], HashMap<[i64; 3], [i64; 3]>> = HashMap::default();
     for t in triangles {
         for i in 0..3 {
             next.entry(t[i]).or_default().insert(t[(i + 1) % 3], t[(i + 2) % 3]);

@@ -136,7 +136,7 @@ fn a_tree_is_a_forest_in_order_of_rounds() {
     let Some(engine) = device() else { return };
     let planted = plant(&engine, &Recipe::plain([65, 40, 35], Pattern::Waves(15), 5), false);
     let host = HostTree::read(&engine, &planted);
-    let mut children: HashMap<NodeId, u32> = HashMap::new();
+    let mut children: HashMap<NodeId, u32> = HashMap::default();
     for parent in host.tree.point_parents.iter().flatten() {
         *children.entry(*parent).or_default() += 1;
     }
@@ -160,7 +160,7 @@ fn a_tree_is_a_forest_in_order_of_rounds() {
 /// Worst cosine between the normals of two triangles at an edge of the node `made`, of the mesh between the corners that `leaf` maps to.
 /// Slivers, which the rounding of positions turns, are left out.
 fn worst_fold(triangles: &[[[f64; 4]; 3]], made: f64) -> f64 {
-    let mut normals: HashMap<[u64; 2], Vec<[f64; 3]>> = HashMap::new();
+    let mut normals: HashMap<[u64; 2], Vec<[f64; 3]>> = HashMap::default();
     for corners in triangles.iter().filter(|t| t.iter().any(|c| c[3] == made)) {
         let [u, v] = [1, 2].map(|k| [0, 1, 2].map(|i| corners[k][i] - corners[0][i]));
         let normal = [0, 1, 2].map(|i| u[(i + 1) % 3] * v[(i + 2) % 3] - u[(i + 2) % 3] * v[(i + 1) % 3]);

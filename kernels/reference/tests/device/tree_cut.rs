@@ -6,15 +6,16 @@ use super::interest::interests;
 use super::recipes::{Pattern, Random, recipes, surfaces};
 use super::tree::{Planted, check, plant};
 use super::*;
+use isopeel_kernels::testing::with_gpu_kernels;
 use isopeel_kernels::{
-    ControlPoint, PartFilter, RegionKey, RegionWeights, TransferFunction, TreeGoal, TreeRegions, TreeSurface, Tuning,
+    ControlPoint, PartFilter, RegionKey, RegionWeights, TransferFunction, TreeGoal, TreeRegions, TreeSurface,
 };
 use isopeel_reference::tree::LATTICE;
 use isopeel_reference::tree_cut::{Cutter, TreeCut, TreeLeaf, Weights};
 use isopeel_reference::tree_part::{Filter, Remaining, parts, total_area, without};
 use isopeel_reference::tree_relax::Relaxer;
 use rayon::prelude::*;
-use std::collections::HashSet;
+use rustc_hash::FxHashSet as HashSet;
 use std::sync::Arc;
 
 const NO_LIMIT: u64 = u64::MAX;
@@ -248,9 +249,9 @@ impl Joined {
 
 /// Invariants of a surface that is closed except for its borders: every edge has one triangle on each side.
 fn invariants(triangles: &[Triangle]) -> Result<Invariants, TestCaseError> {
-    let mut edges: HashMap<[TreeLeaf; 2], [u32; 2]> = HashMap::new();
-    let (mut surface, mut border) = (Joined(HashMap::new()), Joined(HashMap::new()));
-    let mut seen = HashSet::new();
+    let mut edges: HashMap<[TreeLeaf; 2], [u32; 2]> = HashMap::default();
+    let (mut surface, mut border) = (Joined(HashMap::default()), Joined(HashMap::default()));
+    let mut seen = HashSet::default();
     for t in triangles {
         let mut sorted = *t;
         sorted.sort_unstable();
@@ -512,7 +513,7 @@ fn the_minimum_of_triangles_is_a_budget_that_is_kept() {
 #[test]
 fn work_groups_of_a_gpu_make_the_same_tree_and_cuts() {
     let Some(engine) = device() else { return };
-    let of_gpu = Engine::open_tuned(Some(&engine.device().name), None, Some(Tuning::GPU)).expect("open");
+    let of_gpu = with_gpu_kernels(&engine, None);
     for (pattern, missing) in [(Pattern::Waves(15), false), (Pattern::Blocks, true)] {
         let recipe = Recipe {
             missing,

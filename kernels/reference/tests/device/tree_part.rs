@@ -5,7 +5,8 @@ use super::recipes::{Pattern, Random, recipes, surfaces};
 use super::tree::{Planted, plant, plant_in};
 use super::tree_cut::{check_cuts_without, cut};
 use super::*;
-use isopeel_kernels::{ChosenParts, PartFilter, Samples, TreeGoal, Tuning};
+use isopeel_kernels::testing::with_gpu_kernels;
+use isopeel_kernels::{ChosenParts, PartFilter, Samples, TreeGoal};
 use isopeel_reference::tree::LATTICE;
 use isopeel_reference::tree_part::{Chosen, Filter, Parts, Remaining, part_near, parts, without};
 
@@ -167,12 +168,12 @@ fn parts_and_cuts_without_some_agree_with_the_twins() {
 #[test]
 fn work_groups_of_a_gpu_find_the_same_parts() {
     let Some(engine) = device() else { return };
-    let of_gpu = Engine::open_tuned(Some(&engine.device().name), None, Some(Tuning::GPU)).expect("open");
+    let of_gpu = with_gpu_kernels(&engine, None);
     for (pattern, missing) in [(Pattern::Waves(15), false), (Pattern::Blocks, true)] {
         let recipe = Recipe {
             missing,
             spacing: [1.0, 0.5, 2.0],
-            ..Recipe::plain([38, 20, 35], pattern, 9)
+            ..Recipe::plain([24, 20, 19], pattern, 9)
         };
         check(&of_gpu, &plant(&of_gpu, &recipe, false), 4).expect("the twin's parts");
     }

@@ -1,6 +1,7 @@
 //! The levels of the vertex tree: how far it merges, and that its cuts keep the topology.
 
-use std::collections::{BTreeMap, BTreeSet, HashMap};
+use rustc_hash::FxHashMap as HashMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use isopeel_kernels::{CutParams, Grid, PartFilter, TreeGoal};
 use isopeel_reference::tree::{
@@ -83,7 +84,7 @@ fn cut_with(cutter: &Cutter<'_>, tolerance: f32, max_triangles: u64) -> TreeCut 
 
 /// Euler characteristic, parts and edges of the border. Each directed edge occurs once.
 fn topology(triangles: &[[TreeLeaf; 3]]) -> (i64, usize, bool) {
-    let mut above: HashMap<TreeLeaf, TreeLeaf> = HashMap::new();
+    let mut above: HashMap<TreeLeaf, TreeLeaf> = HashMap::default();
     fn root(above: &HashMap<TreeLeaf, TreeLeaf>, mut leaf: TreeLeaf) -> TreeLeaf {
         while above[&leaf] != leaf {
             leaf = above[&leaf];
