@@ -60,7 +60,10 @@ fn sheets_that_cross_are_pulled_apart() {
     assert_eq!(cleaned.intersections, before);
     assert!(cleaned.moved_vertices > 0 && cleaned.largest_move > 0.0 && cleaned.largest_move < 4.0);
     assert_eq!(count(&mesh, Format::Ply, None, &|| false), Some(0));
-    assert_eq!(mesh.triangles, triangles);
+    // Beside moved vertices, edges are flipped.
+    let changed = mesh.triangles.iter().zip(&triangles).filter(|(new, old)| new != old);
+    assert!(changed.count() as u64 <= 2 * cleaned.flipped_edges && cleaned.flipped_edges < 9);
+    assert_eq!(mesh.triangles.len(), triangles.len());
 }
 
 #[test]
