@@ -98,6 +98,8 @@ pub struct Cleaned {
     pub moved_vertices: u64,
     /// Largest distance by which a vertex was moved, in the file's unit.
     pub largest_move: f64,
+    /// Edges between nearly coplanar triangles that were flipped, so that mesh generators flip none.
+    pub flipped_edges: u64,
 }
 
 /// Counts, times and bytes of one surface.

@@ -1,4 +1,7 @@
-//! Counts intersecting triangles of a mesh as its file stores it, and moves vertices until no triangles intersect.
+//! Counts intersecting triangles of a mesh as its file stores it, and repairs it: moves vertices until no triangles intersect, and makes nearly
+//! flat edges locally Delaunay.
+
+mod flat;
 
 use std::time::{Duration, Instant};
 
@@ -25,6 +28,9 @@ const REACH_FRACTION: f64 = 0.25;
 
 /// Minimum of this limit, in smallest spacings.
 const MIN_REACH: f64 = 2.0;
+
+/// Maximum number of rounds in which nearly flat edges are flipped, and vertices are moved at those that cannot be flipped.
+const FLAT_ROUNDS: usize = 10;
 
 /// After each of this many rounds, groups grow by one ring of neighbouring vertices.
 const ROUNDS_BEFORE_GROWTH: usize = 3;
@@ -105,6 +111,9 @@ pub enum Scope {
 /// Moves vertices of intersecting triangles until no triangles in the scope intersect in a file of this format. In later rounds, also moves
 /// neighbouring vertices. Vertices on caps stay on the faces of the volume. The repair is deterministic.
 ///
+/// In the scope [`Scope::All`] it also flips edges between nearly coplanar triangles that are not locally Delaunay, because mesh generators
+/// do this without checks, and moves vertices at edges that cannot be flipped.
+///
 /// # Errors
 /// [`RepairError::NotClean`] if triangles in the scope [`Scope::All`] still intersect after [`MAX_ROUNDS`].
 pub fn repair(
@@ -119,7 +128,6 @@ pub fn repair(
         Scope::AtCaps { cells } if cells <= 1.0 => CAP_ROUNDS,
         Scope::All | Scope::AtCaps { .. } => MAX_ROUNDS,
     };
-    let triangles_of = VertexTriangles::new(mesh);
     let numbers = Numbers::new(mesh, format);
     let mut repair = Repair {
         positions: numbers.all(mesh),
@@ -127,12 +135,21 @@ pub fn repair(
         mesh,
         faces,
         scope,
-        triangles_of: &triangles_of,
+        triangles_of: VertexTriangles::default(),
         moved: Vec::new(),
         originals: FxHashMap::default(),
         random: Random(1),
     };
+    repair.triangles_of = VertexTriangles::new(repair.mesh);
     for round in 0..=rounds {
+        let is_last = round == rounds;
+        // The first round counts the intersections of the mesh as it is.
+        let flips_edges = matches!(scope, Scope::All) && (1..FLAT_ROUNDS).contains(&round);
+        let blocked = if flips_edges {
+            repair.flip_flat_edges(&mut cleaned)
+        } else {
+            Vec::new()
+        };
         let soup = TriangleSoup {
             positions: &repair.positions,
             triangles: &repair.mesh.triangles,
@@ -146,9 +163,13 @@ pub fn repair(
         if round == 0 {
             cleaned.intersections = pairs.len() as u64;
         }
-        let is_last = round == rounds;
         if let (true, Scope::All, pairs @ 1..) = (is_last, scope, pairs.len() as u64) {
             return Err(RepairError::NotClean(NotClean { pairs }));
+        }
+        let is_unflipped = matches!(scope, Scope::All) && round == 0;
+        pairs.extend(blocked);
+        if pairs.is_empty() && is_unflipped {
+            continue;
         }
         if pairs.is_empty() || is_last {
             repair.count_moves(&mut cleaned);
@@ -265,7 +286,7 @@ struct Repair<'a> {
     numbers: Numbers,
     faces: Faces,
     scope: Scope,
-    triangles_of: &'a VertexTriangles,
+    triangles_of: VertexTriangles,
     /// Triangles that have moved since the tree of the round was built, sorted.
     moved: Vec<u32>,
     /// Original positions of all moved vertices.
@@ -281,6 +302,17 @@ impl Repair<'_> {
             Scope::All => true,
             Scope::AtCaps { .. } => corners.any(|corner| self.mesh.caps[corner as usize].is_near),
         }
+    }
+
+    /// Flips edges between nearly coplanar triangles until they are locally Delaunay. Returns the pairs of triangles whose common edge could
+    /// not be flipped.
+    fn flip_flat_edges(&mut self, cleaned: &mut Cleaned) -> Vec<[u32; 2]> {
+        let flips = flat::flip_flat_edges(&self.positions, &mut self.mesh.triangles);
+        if flips.flipped > 0 {
+            self.triangles_of = VertexTriangles::new(self.mesh);
+        }
+        cleaned.flipped_edges += flips.flipped;
+        flips.blocked
     }
 
     /// Moves the vertices of a group and `rings` rings of neighbours, until none of their triangles intersect, or for [`SWEEPS`]. Does not
@@ -417,7 +449,8 @@ impl Repair<'_> {
     }
 
     /// Counts the faults of the triangles of a vertex, if the vertex is at a position. A fault is a triangle without area, an intersection
-    /// of two of these triangles, or an intersection of one of them with a triangle in `nearby`. May stop at `limit`.
+    /// of two of these triangles, an intersection of one of them with a triangle in `nearby`, or a nearly flat edge that is not locally
+    /// Delaunay and cannot be flipped. May stop at `limit`.
     fn faults(&self, vertex: u32, position: [f32; 3], nearby: &[u32], limit: usize) -> usize {
         let position = self.numbers.position(self.mesh, position);
         let corners = |triangle: u32| -> Corners {
@@ -434,6 +467,9 @@ impl Repair<'_> {
             .iter()
             .fold(Bounds::EMPTY, |all, (.., bounds)| all.joined(bounds));
         let mut faults = adjacent.iter().filter(|(_, corners, _)| !has_area(corners)).count();
+        if matches!(self.scope, Scope::All) {
+            faults += self.blocked_edges(vertex, position);
+        }
         for (i, (_, a, bounds_a)) in adjacent.iter().enumerate() {
             let others = adjacent[i + 1..].iter();
             faults += others
@@ -458,6 +494,37 @@ impl Repair<'_> {
             }
         }
         faults
+    }
+
+    /// Counts the nearly flat edges of the triangles of a vertex that are not locally Delaunay and cannot be flipped, if the vertex is at a
+    /// position as the file stores it.
+    fn blocked_edges(&self, vertex: u32, position: [f64; 3]) -> usize {
+        let at = |corner: u32| match corner == vertex {
+            true => position,
+            false => self.positions[corner as usize],
+        };
+        let corners = |triangle: &u32| self.mesh.triangles[*triangle as usize];
+        let mut blocked = 0;
+        for [a, b, c] in self.triangles_of.vertex(vertex).iter().map(corners) {
+            for [a, b, c] in [[a, b, c], [b, c, a], [c, a, b]] {
+                let mut opposites = (self.triangles_of.vertex(a).iter().map(corners))
+                    .filter(|corners| corners.contains(&b))
+                    .filter_map(|corners| flat::opposite(corners, [a, b]))
+                    .filter(|&other| other != c);
+                let (Some(d), None) = (opposites.next(), opposites.next()) else {
+                    continue;
+                };
+                let quad = [a, b, c, d].map(at);
+                let exists = || {
+                    let mut of_c = self.triangles_of.vertex(c).iter().map(corners);
+                    of_c.any(|corners| corners.contains(&d))
+                };
+                if flat::is_flipped(&quad) && (exists() || !flat::flips_well(&quad)) {
+                    blocked += 1;
+                }
+            }
+        }
+        blocked
     }
 
     /// Returns the other corners of the triangles of a vertex, each once.

@@ -194,13 +194,23 @@ fn lost_looks(surface: &FileSurface) -> Vec<String> {
     lost.map(|(_, what)| format!("a {title} holds no {what}")).collect()
 }
 
-/// Returns a notice if the repair moved vertices, because the measured error does not include these moves.
-fn moved_vertices_notice(mesh: &Mesh, cleaned: &Cleaned) -> Option<String> {
+/// Returns notices about changes of the repair, because the measured error does not include them.
+fn repair_notices(mesh: &Mesh, cleaned: &Cleaned) -> Vec<String> {
+    let mut notices = Vec::new();
     let (count, unit) = (cleaned.moved_vertices, mesh.unit.map_or("", LengthUnit::ascii_symbol));
-    (count > 0).then(|| {
+    if count > 0 {
         let length = cleaned.largest_move;
-        format!("{count} vertices were moved by up to {length:.3e} {unit} where triangles intersected, after the error was measured")
-    })
+        notices.push(format!(
+            "{count} vertices were moved by up to {length:.3e} {unit} where triangles intersected, after the error was measured"
+        ));
+    }
+    let count = cleaned.flipped_edges;
+    if count > 0 {
+        notices.push(format!(
+            "{count} edges between nearly coplanar triangles were flipped, after the error was measured"
+        ));
+    }
+    notices
 }
 
 /// Settings for the repair of a mesh, and for counting the triangles that intersect.
@@ -373,9 +383,9 @@ impl MadeSurface {
         let is_measured = statistics.error.is_some() || view.mesher != MesherName::Dual;
         statistics.notices = notices(&mesh, options, is_measured);
         statistics.notices.extend(lost_looks(requested));
-        statistics
-            .notices
-            .extend(cleaned.and_then(|cleaned| moved_vertices_notice(&mesh, &cleaned)));
+        if let Some(cleaned) = &cleaned {
+            statistics.notices.extend(repair_notices(&mesh, cleaned));
+        }
         let notice = dataset.notice().unwrap_or_default();
         mesh.notices = notice.lines().map(str::to_owned).collect();
         mesh.name = match (&requested.name, &options.label) {

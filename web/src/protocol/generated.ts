@@ -99,6 +99,8 @@ export type Cleaned = {
   movedVertices: number,
   /** Largest distance by which a vertex was moved, in the file's unit. */
   largestMove: number,
+  /** Edges between nearly coplanar triangles that were flipped, so that mesh generators flip none. */
+  flippedEdges: number,
 };
 
 /** A text frame from a client. */

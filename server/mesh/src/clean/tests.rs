@@ -60,7 +60,10 @@ fn sheets_that_cross_are_pulled_apart() {
     assert_eq!(cleaned.intersections, before);
     assert!(cleaned.moved_vertices > 0 && cleaned.largest_move > 0.0 && cleaned.largest_move < 4.0);
     assert_eq!(count(&mesh, Format::Ply, None, &|| false), Some(0));
-    assert_eq!(mesh.triangles, triangles);
+    // Beside moved vertices, edges are flipped.
+    let changed = mesh.triangles.iter().zip(&triangles).filter(|(new, old)| new != old);
+    assert!(changed.count() as u64 <= 2 * cleaned.flipped_edges && cleaned.flipped_edges < 9);
+    assert_eq!(mesh.triangles.len(), triangles.len());
 }
 
 #[test]
@@ -111,4 +114,47 @@ fn what_cannot_be_repaired_is_an_error() {
         .to_string();
     assert!(error.starts_with("1 pair of triangles still intersects"), "{error}");
     assert_eq!(count(&mesh, Format::Ply, Some(Duration::ZERO), &|| false), None);
+}
+
+/// A flat tetrahedron. The edge from 0 to 1 is nearly flat and the longer one, and the edge to which it would be flipped exists.
+fn flat_tetrahedron() -> Mesh {
+    Mesh {
+        positions: vec![[-3.0, 0.0, 0.0], [3.0, 0.0, 0.0], [0.0, 1.0, -0.03], [0.0, -1.0, -0.03]],
+        triangles: vec![[0, 1, 2], [1, 0, 3], [2, 1, 3], [0, 2, 3]],
+        ..Mesh::default()
+    }
+}
+
+#[test]
+fn an_edge_that_cannot_be_flipped_is_made_sharp_or_delaunay() {
+    let blocked = |mesh: &Mesh| {
+        let positions = Numbers::new(mesh, Format::Ply).all(mesh);
+        flat::flip_flat_edges(&positions, &mut mesh.triangles.clone()).blocked
+    };
+    let mut mesh = flat_tetrahedron();
+    let triangles = mesh.triangles.clone();
+    assert_eq!(blocked(&mesh), [[0, 1]]);
+    let Repaired { cleaned, .. } = repair(&mut mesh, Format::Ply, Scope::All, faces(), &|| false).unwrap();
+    assert!(cleaned.moved_vertices > 0 && cleaned.largest_move < 3.0, "{cleaned:?}");
+    assert_eq!(blocked(&mesh), [[0; 2]; 0]);
+    assert_eq!((mesh.triangles, cleaned.flipped_edges), (triangles, 0));
+}
+
+#[test]
+fn flat_edges_are_flipped_where_all_is_repaired() {
+    // Sheared, the squares of both sides have the longer diagonal as edge.
+    let pushed = |mesh: &mut Mesh| mesh.positions.iter_mut().for_each(|at| at[0] += 0.4 * at[1]);
+    let mut mesh = pillow(9, 0.0);
+    pushed(&mut mesh);
+    let before = mesh.clone();
+    let caps = repair(&mut mesh, Format::Ply, Scope::AtCaps { cells: 1.0 }, faces(), &|| false);
+    assert_eq!((caps.unwrap().cleaned, &mesh), (Cleaned::default(), &before));
+    let Repaired { cleaned, .. } = repair(&mut mesh, Format::Ply, Scope::All, faces(), &|| false).unwrap();
+    assert!(cleaned.flipped_edges > 90, "{cleaned:?}");
+    assert_eq!(
+        (cleaned.moved_vertices, mesh.triangles.len()),
+        (0, before.triangles.len())
+    );
+    assert_eq!(mesh.positions, before.positions);
+    assert_eq!(count(&mesh, Format::Ply, None, &|| false), Some(0));
 }
