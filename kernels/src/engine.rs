@@ -31,6 +31,7 @@ pub(crate) mod tree_refine;
 mod tree_vanish;
 pub(crate) mod upload;
 pub(crate) mod vertex_distances;
+pub(crate) mod vertex_values;
 
 /// A device, its queue and its programs. It may move between threads. If several use it at once, results are right, but times and peak
 /// memory are mixed, and nothing is faster: all commands are in one queue.

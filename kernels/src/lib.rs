@@ -79,6 +79,7 @@ pub use engine::{
     tree_refine::{RefinementCost, RegionVertex},
     upload::Upload,
     vertex_distances::DistanceOf,
+    vertex_values::ValuesOf,
 };
 pub use error::{Error, Result};
 pub use expression::Expression;

@@ -1,7 +1,7 @@
 //! The regions in which a cut is meshed: larger ones where it has few triangles (`docs/algorithm.md#91-regions-that-grow`).
 
 use crate::layout::{NONE, RegionMesh};
-use crate::{Pyramid, Region, RegionKey, Vertex};
+use crate::{Pyramid, Region, RegionKey, SharedSlice, Vertex};
 use rustc_hash::FxHashMap;
 use std::collections::hash_map::Entry;
 
@@ -362,6 +362,7 @@ pub(crate) fn join_meshes(joining: &mut Joining, key: RegionKey, members: &[&Reg
         size: key.size,
         vertices: vertices.into(),
         indices: indices.into(),
+        values: SharedSlice::default(),
         level_triangles,
         error: None,
     }

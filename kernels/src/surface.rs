@@ -123,6 +123,9 @@ pub struct Region {
     /// Three per triangle, counter-clockwise seen from the side of lower values; ordered by level, finest first.
     #[cfg_attr(feature = "serde", serde(with = "crate::bulk"))]
     pub indices: SharedSlice<u32>,
+    /// The value of a field at each vertex ([`crate::Engine::vertex_values`]), NaN beside missing samples; empty if none was asked for.
+    #[cfg_attr(feature = "serde", serde(with = "crate::bulk"))]
+    pub values: SharedSlice<f32>,
     /// Triangles of each level, 0 (finest) first.
     pub level_triangles: [u32; 6],
     /// Measured distance from the full surface, if [`crate::CutParams::state_error`] requests it.
@@ -143,6 +146,9 @@ impl Region {
         let triangles: u64 = self.level_triangles.iter().map(|&n| u64::from(n)).sum();
         if self.indices.len() as u64 != 3 * triangles {
             return Err("a region with more or fewer triangles than its levels");
+        }
+        if !self.values.is_empty() && self.values.len() != self.vertices.len() {
+            return Err("a region with more or fewer values than vertices");
         }
         let largest = self.indices.iter().fold(0, |largest, &index| index.max(largest));
         let is_usable = self.indices.is_empty() || (largest as usize) < self.vertices.len();

@@ -65,6 +65,7 @@ impl NoiseDevice {
             size: 0,
             vertices: (0..3 * TRIANGLES).map(&mut vertex).collect::<Vec<_>>().into(),
             indices: (0..3 * TRIANGLES).collect::<Vec<_>>().into(),
+            values: Vec::new().into(),
             level_triangles: [TRIANGLES, 0, 0, 0, 0, 0],
             error: None,
         }

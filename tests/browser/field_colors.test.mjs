@@ -80,6 +80,54 @@ describe("colours of a field", { timeout: 4 * TIMEOUT_MS }, () => {
     await page.context().close();
   });
 
+  test("any field and any expression colours the surface, and changes no triangle of it", async () => {
+    const { page, faults } = await openPage(at.browser, `${at.server.url}/#v=1&volume=bumpy&iso=3&feature=none&map=viridis&background=white`);
+    const plain = await rested(page);
+    const before = await picture(page);
+    const look = page.getByRole("region", { name: "Look", exact: true });
+    await look.getByText("Field", { exact: true }).first().click();
+    // No field is the importance, so one is chosen.
+    const fields = look.getByRole("combobox", { name: "Field of the colours" });
+    await fields.waitFor();
+    assert.equal(await fields.inputValue(), "height");
+    await inAddress(page, "colorField=height");
+    const colored = await rested(page);
+    const height = await picture(page);
+    assert.ok(difference(before, height) > 0.05, "the surface has colours");
+    assert.deepEqual([colored.triangles, colored.edit.feature], [plain.triangles, "none"]);
+    await page.getByRole("group", { name: "Colours of height" }).waitFor();
+    assert.equal(await end(page, "Highest colour").inputValue(), "43");
+    await page.getByRole("button", { name: "Range of the surface" }).click();
+    await page.waitForFunction(() => {
+      const [, low, high] = /colors=([\d.]+),([\d.]+)/.exec(window.location.hash) ?? [];
+      return Number(low) > 7 && Number(low) < 11 && Number(high) > 33 && Number(high) < 37;
+    });
+    for (const theme of ["dark", "light"]) {
+      await page.emulateMedia({ colorScheme: theme });
+      await page.locator(`html[data-theme=${theme}]`).waitFor();
+      assert.deepEqual(await violations(page), [], theme);
+      await saveScreenshot(page, `any-field-colors-${theme}`);
+    }
+
+    // The upper half, then the same as an expression: a range of its own, and the same colours.
+    await look.getByRole("button", { name: "Colour by an expression" }).click();
+    const text = look.getByRole("textbox", { name: "Expression of the colours" });
+    await text.fill("100 - 2 * height");
+    await look.getByText(/^Values from /).waitFor();
+    await text.press("Enter");
+    await page.waitForFunction(() => window.isopeel.status.edit.colorField === "100 - 2 * height");
+    const computed = await rested(page);
+    assert.equal(computed.triangles, plain.triangles);
+    assert.deepEqual([await end(page, "Lowest colour").inputValue(), await end(page, "Highest colour").inputValue()], ["14", "100"]);
+    assert.ok(difference(height, await picture(page)) > 0.05, "the colours are reversed");
+    const again = await openPage(at.browser, page.url());
+    const linked = await rested(again.page);
+    assert.deepEqual([linked.edit.colorField, linked.triangles], ["100 - 2 * height", plain.triangles], "the link brings it");
+    await again.page.context().close();
+    assert.deepEqual(faults, []);
+    await page.context().close();
+  });
+
   test("a log scale says what becomes of 0; isolines are in the picture, the legend and saved images", async () => {
     const { page, faults } = await open("&colors=0,43");
     await rested(page);

@@ -57,6 +57,7 @@ LAYERS = {
         intersections uneven
     """,
     "server/codec/src": """
+        values
         chunk
         index_codec order range_coder vertex_codec
         predictive

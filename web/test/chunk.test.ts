@@ -80,7 +80,7 @@ describe("header", () => {
     ["payload of an annotation", (v: DataView) => (v.setUint8(12, 0), v.setUint8(13, 1)), /vertices in payloads of/],
     ["level of an annotation", (v: DataView) => v.setUint8(13, 1), /kind 1 .error. of level 2, expected 0/],
     ["surface", (v: DataView) => v.setUint8(14, 4), /surface 4, expected 0 to 3/],
-    ["flags", (v: DataView) => v.setUint8(15, 2), /flags 2/],
+    ["flags", (v: DataView) => v.setUint8(15, 4), /flags 4/],
     ["coding", (v: DataView) => v.setUint8(15, 1), /vertices in payloads of/],
     ["coding of an annotation", (v: DataView) => (v.setUint8(12, 0), v.setUint8(13, 1), v.setUint8(15, 1)), /flags 1 of kind error/],
     ["size", (v: DataView) => v.setUint16(18, 3, true), /region size 3, expected 0 to 2/],
@@ -179,5 +179,44 @@ describe("decoding", () => {
       }
     }
     expect(refused).toBeGreaterThan(0);
+  });
+});
+
+describe("values of a field", () => {
+  /** The frame with values behind its payloads. */
+  function withValues(steps: readonly number[], low: number, high: number): ArrayBuffer {
+    const words = new Uint16Array(2 * steps.length);
+    steps.forEach((step, i) => (words[2 * i] = step));
+    const coded = MeshoptEncoder.encodeVertexBuffer(new Uint8Array(words.buffer), steps.length, 4);
+    const whole = new Uint8Array(frame.byteLength + 8 + coded.byteLength);
+    whole.set(frame);
+    whole.set(coded, frame.byteLength + 8);
+    const view = new DataView(whole.buffer);
+    view.setUint8(15, view.getUint8(15) | 2);
+    view.setFloat32(frame.byteLength, low, true);
+    view.setFloat32(frame.byteLength + 4, high, true);
+    return whole.buffer;
+  }
+
+  test("are between the ends of their range, or missing; the mesh is as without them", () => {
+    const count = mesh.positions.length / 3;
+    const steps = Array.from({ length: count }, (_, i) => (i === 3 ? 65535 : (i * 977) % 65535));
+    const whole = withValues(steps, -2, 65532);
+    const header = readChunkHeader(whole);
+    expect(header.valueBytes).toBe(whole.byteLength - frame.byteLength);
+    const { values, ...rest } = decodeChunk(MeshoptDecoder, header, whole);
+    expect(values).toEqual(Float32Array.from(steps, (step) => (step === 65535 ? NaN : step - 2)));
+    expect(rest).toEqual(decodeChunk(MeshoptDecoder, readChunkHeader(frame.buffer), frame.buffer));
+  });
+
+  test("that are cut off or out of range are refused", () => {
+    const steps = new Array<number>(mesh.positions.length / 3).fill(7);
+    const whole = withValues(steps, 0, 1);
+    expect(() => readChunkHeader(whole.slice(0, frame.byteLength + 8))).toThrow("and values");
+    expect(() => readChunkHeader(tampered((view) => view.setUint8(15, 2)))).toThrow("and values");
+    expect(() => readChunkHeader(tampered((view) => view.setUint8(15, 4)))).toThrow("flags 4");
+    for (const wrong of [withValues(steps, 1, 0), withValues(steps, NaN, 1), whole.slice(0, -1)]) {
+      expect(() => decodeChunk(MeshoptDecoder, readChunkHeader(wrong), wrong)).toThrow(ChunkError);
+    }
   });
 });

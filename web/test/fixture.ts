@@ -65,6 +65,7 @@ export const OPENING: View = {
   mask: null,
   feature: "height",
   featureRange: [0, 1],
+  colorField: null,
   alpha: 0.6,
   beta: undefined,
   error: "1px",

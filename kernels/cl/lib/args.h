@@ -386,6 +386,16 @@ typedef struct {
     uint end; // The point after the last.
 } DistanceArgs;
 
+// Arguments of `interpolate`.
+typedef struct {
+    Grid grid; // Extent of the volume.
+    uint z0; // First plane of the slab.
+    uint first_layer; // First layer of regions of the slab, counted in regions along z.
+    uint end_layer; // Layer of regions after the last.
+    uint first; // The first point of this launch.
+    uint end; // The point after the last.
+} InterpolateArgs;
+
 // Arguments of `evaluate`.
 typedef struct {
     uint first; // First sample of this launch, in blocks of LAUNCH_BLOCK.

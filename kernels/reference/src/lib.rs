@@ -4,7 +4,7 @@
 //!
 //! One file per stage, named as the stage: [`minmax`], [`histogram`], [`classify`], [`derive`], [`construct`], [`cut`], [`march`],
 //! [`patch`], [`pack`], [`dual`], [`error`], [`tree`], [`tree_part`], [`tree_cut`], [`slice`], [`overview`], [`probe`], [`distribution`],
-//! [`curve`] and [`distance`]; beside them [`expression`], [`distance_field`], [`cell_values`] and, for tests of whole surfaces, [`edges`]. What `construct` does for the dual mesher is in [`sheets`], [`vertices`] and `relax`, over
+//! [`curve`], [`distance`] and [`interpolate`]; beside them [`expression`], [`distance_field`], [`cell_values`] and, for tests of whole surfaces, [`edges`]. What `construct` does for the dual mesher is in [`sheets`], [`vertices`] and `relax`, over
 //! [`quadric`] and [`octahedral`]; the rounds of `tree` are in `block`, over `cluster`; `levels` leads from one level of blocks to the next, and `vanishing`
 //! adds the nodes above the last one. Both cuts use [`interest`].
 //! [`Pipeline`] runs the stages of the paper's mesher in order. Every stage can also be fed with another's results: a test
@@ -36,6 +36,7 @@ mod field;
 pub mod files;
 pub mod histogram;
 pub mod interest;
+pub mod interpolate;
 mod levels;
 pub mod march;
 pub mod minmax;

@@ -7,8 +7,8 @@
 use crate::expression::{Binary, Comparison, Expression, Op};
 use crate::{
     CurvePoint, Cut, CutParams, DerivedFeature, DistanceOf, Engine, Error, Feature, Interest, InterestShape, Isovalue,
-    Level, MAX_BINS, Mesher, Never, OverviewMode, OverviewWork, PartFilter, Pyramid, RectilinearGrid, RegionWeights,
-    SampleType, ShownCut, Surface, TreeGoal, ValueSet, VertexTree, Volume,
+    Level, MAX_BINS, Mesher, Never, OverviewMode, OverviewWork, PartFilter, Pyramid, RectilinearGrid, Region,
+    RegionWeights, SampleType, ShownCut, Surface, TreeGoal, ValueSet, ValuesOf, Vertex, VertexTree, Volume,
 };
 
 use std::sync::Arc;
@@ -82,6 +82,7 @@ pub const STEPS: &[Step] = &[
     step("curve", Scope::Rest, |check| check.curve()),
     step("march", Scope::Rest, |check| check.march()),
     step("distance", Scope::Rest, |check| check.distance()),
+    step("interpolate", Scope::Rest, |check| check.interpolate()),
     step("evaluate", Scope::Rest, |check| check.evaluate()),
     step("mask", Scope::Rest, |check| check.mask()),
     step("distance_field", Scope::Rest, |check| check.distance_field()),
@@ -398,6 +399,38 @@ impl<'a> Check<'a> {
         // Rounding may decide otherwise in the middle between two codes.
         let same = |(&found, &mean): (&u8, &f32)| (f32::from(found) - code(mean)).abs() < 0.51;
         exact("means of blocks", found.codes.iter().zip(&means).all(same), true)
+    }
+
+    /// Half of the distance between two samples along x.
+    fn interpolate(&mut self) -> Result<(), Finding> {
+        let at = [7u32, 5, 11];
+        let vertex = Vertex {
+            position: [
+                at[0] as i32 * Vertex::LATTICE + Vertex::LATTICE / 2,
+                at[1] as i32 * Vertex::LATTICE,
+                at[2] as i32 * Vertex::LATTICE,
+            ],
+            normal: [0; 2],
+            smoothness: 0,
+            feature: 0,
+        };
+        let mut regions = [Region {
+            vertices: vec![vertex].into(),
+            ..Region::default()
+        }];
+        let between = ValuesOf {
+            padding: 0,
+            nearest: false,
+        };
+        self.engine
+            .vertex_values(self.volume(), between, &mut regions, &Never)?;
+        let sample = ((at[2] * DIMS[1] + at[1]) * DIMS[0] + at[0]) as usize;
+        let two: Vec<f32> = values().skip(sample).take(2).map(|v| v as f32).collect();
+        near(
+            "value between two samples",
+            regions[0].values[0],
+            (two[0] + two[1]) / 2.0,
+        )
     }
 
     fn distribution(&mut self) -> Result<(), Finding> {

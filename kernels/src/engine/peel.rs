@@ -390,6 +390,7 @@ impl Engine {
                 size: mesh.keys[i].size,
                 vertices: vertices.cast(),
                 indices,
+                values: crate::SharedSlice::default(),
                 level_triangles: mesh.regions[i].triangles,
                 error: mesh.errors.as_ref().map(|(regions, _)| regions[i]),
             })

@@ -56,6 +56,7 @@ stages! {
     distribution
     curve
     distance: samples
+    interpolate: samples
     evaluate
     mask
     distance_field

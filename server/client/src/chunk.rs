@@ -65,7 +65,7 @@ impl RegionKey {
 }
 
 /// A decoded chunk of kind `cut`: the mesh of one region.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug)]
 pub struct Chunk {
     /// Number of the surface.
     pub surface: u8,
@@ -83,11 +83,16 @@ pub struct Chunk {
     pub triangles: Vec<[u32; 3]>,
     /// Triangles of each level, 0 first.
     pub level_triangles: [u32; 6],
-    /// Bytes of the whole frame.
+    /// Bytes of the frame without values.
     pub frame_bytes: usize,
     /// Whether its coding is `predictive`.
     pub is_predictive: bool,
+    /// The value of a field at each vertex, NaN if it is missing; `None` if the chunk has no values.
+    pub values: Option<Vec<f32>>,
 }
+
+/// A vertex with the bits of its value, if the chunk has values.
+type Corner = (Vertex, Option<u32>);
 
 /// A decoded vertex.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -123,12 +128,21 @@ impl Chunk {
     pub fn decode(frame: &[u8]) -> Result<Self, ChunkError> {
         let header = Header::new(frame)?;
         expect("kind", header.kind(), 0)?;
-        check(frame[15] <= 1, "flags", frame[15], "0 or 1")?;
+        check(frame[15] <= 3, "flags", frame[15], "0 to 3")?;
         check(header.level() <= 5, "level of the prefix", header.level(), "0 to 5")?;
-        let is_predictive = frame[15] == 1;
+        let (is_predictive, has_values) = (frame[15] & 1 == 1, frame[15] & 2 == 2);
         let (vertex_count, index_count) = (header.vertex_count(), header.index_count());
         let (vertex_bytes, index_bytes) = (header.u32(64) as usize, header.u32(68) as usize);
-        expect("frame length", frame.len(), HEADER + vertex_bytes + index_bytes)?;
+        let payloads_end = HEADER + vertex_bytes + index_bytes;
+        match has_values {
+            true => check(
+                frame.len() >= payloads_end + 8,
+                "frame length",
+                frame.len(),
+                "8 bytes behind the payloads",
+            )?,
+            false => expect("frame length", frame.len(), payloads_end)?,
+        }
         expect("index count modulo 3", index_count % 3, 0)?;
         for (field, count) in [("vertex count", vertex_count), ("index count", index_count)] {
             check(count <= MAX_COUNT, field, count, "at most 627,264")?;
@@ -139,12 +153,15 @@ impl Chunk {
         if vertex_count == 0 {
             expect(
                 "payload of an empty chunk",
-                (vertex_bytes, index_bytes, index_count),
-                (0, 0, 0),
+                (vertex_bytes, index_bytes, index_count, has_values),
+                (0, 0, 0, false),
             )?;
         }
 
-        let (vertex_payload, index_payload) = frame[HEADER..].split_at(vertex_bytes);
+        let (vertex_payload, index_payload) = frame[HEADER..payloads_end].split_at(vertex_bytes);
+        let values = has_values
+            .then(|| decode_values(&frame[payloads_end..], vertex_count))
+            .transpose()?;
         let (vertices, triangles) = if is_predictive {
             expect("index payload of the coding predictive", index_bytes, 0)?;
             let mesh =
@@ -171,8 +188,9 @@ impl Chunk {
             vertices,
             triangles,
             level_triangles,
-            frame_bytes: frame.len(),
+            frame_bytes: payloads_end,
             is_predictive,
+            values,
         };
         chunk.check_bounds()?;
         Ok(chunk)
@@ -219,13 +237,14 @@ impl Chunk {
         start..start + self.level_triangles[level] as usize
     }
 
-    /// Returns whether two chunks have the same mesh, regardless of generation, prefix and the order of triangles.
+    /// Returns whether two chunks have the same mesh and the same values, regardless of generation, prefix and the order of triangles.
     pub fn same_mesh(&self, other: &Self) -> bool {
         self.sorted() == other.sorted()
     }
 
-    /// Level and corners of all triangles, the lowest corner first.
-    fn sorted(&self) -> Vec<(usize, [Vertex; 3])> {
+    /// Level and corners of all triangles, the lowest corner first. A corner has the bits of its value.
+    fn sorted(&self) -> Vec<(usize, [Corner; 3])> {
+        let value = |index: u32| self.values.as_ref().map(|values| values[index as usize].to_bits());
         let of_level = |level| {
             self.triangles[self.triangles_of_level(level)]
                 .iter()
@@ -235,7 +254,7 @@ impl Chunk {
             .flat_map(of_level)
             .map(|(level, [a, b, c])| {
                 let turned = [[a, b, c], [b, c, a], [c, a, b]];
-                let corners = turned.map(|turned| turned.map(|index| self.vertices[index as usize]));
+                let corners = turned.map(|turned| turned.map(|index| (self.vertices[index as usize], value(index))));
                 (level, corners.into_iter().min().unwrap_or(corners[0]))
             })
             .collect();
@@ -260,6 +279,29 @@ fn decode_vertices(payload: &[u8], count: usize) -> Result<Vec<Vertex>, ChunkErr
         feature: u16_at(raw, 10),
     };
     Ok(raw.iter().map(vertex).collect())
+}
+
+/// Decodes the values of a field at the vertices.
+fn decode_values(bytes: &[u8], count: usize) -> Result<Vec<f32>, ChunkError> {
+    let (range, payload) = bytes.split_at(8);
+    let end = |at: usize| f32::from_le_bytes([0, 1, 2, 3].map(|i| range[at + i]));
+    let (low, high) = (end(0), end(4));
+    check(
+        low.is_finite() && high.is_finite() && low <= high,
+        "range of the values",
+        format!("{low} to {high}"),
+        "finite numbers in ascending order",
+    )?;
+    let words: Vec<[u8; 4]> =
+        meshopt::decode_vertex_buffer(payload, count).map_err(|error| ChunkError::Payload(error.to_string()))?;
+    let value = |word: &[u8; 4]| {
+        expect("second half of a value", [word[2], word[3]], [0, 0])?;
+        Ok(match u16::from_le_bytes([word[0], word[1]]) {
+            u16::MAX => f32::NAN,
+            step => (f64::from(low) + f64::from(step) * (f64::from(high) - f64::from(low)) / 65534.0) as f32,
+        })
+    };
+    words.iter().map(value).collect()
 }
 
 fn decode_triangles(payload: &[u8], index_count: usize) -> Result<Vec<[u32; 3]>, ChunkError> {

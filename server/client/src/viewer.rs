@@ -26,6 +26,8 @@ pub struct Viewer<S = TcpStream> {
     read_bytes: u64,
     /// Whether the last `open` or `join` requested other codings of chunks.
     requests_codings: bool,
+    /// Whether that request named values.
+    requests_values: bool,
 }
 
 /// Surface 0.
@@ -47,6 +49,7 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Viewer<S> {
             pending: None,
             read_bytes: 0,
             requests_codings: false,
+            requests_values: false,
         }
     }
 
@@ -54,6 +57,8 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Viewer<S> {
     pub async fn send(&mut self, message: &Value) -> Result<(), Error> {
         if message["type"] == "open" || message["type"] == "join" {
             self.requests_codings = message["codings"].is_array();
+            let codings = message["codings"].as_array();
+            self.requests_values = codings.is_some_and(|codings| codings.iter().any(|coding| coding == "values"));
             self.read_bytes = 0;
         }
         self.connection.send(message).await
@@ -196,7 +201,8 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Viewer<S> {
             bytes: chunk.frame_bytes,
             triangles: chunk.triangles.len(),
         };
-        let is_requested = self.requests_codings || !chunk.is_predictive;
+        let is_requested =
+            (self.requests_codings || !chunk.is_predictive) && (self.requests_values || chunk.values.is_none());
         ensure(is_requested, || format!("a coding that was not requested: {frame:?}"))?;
         let held = self.surfaces[usize::from(chunk.surface)].shown.get(&chunk.region);
         let is_change = held.map_or(!chunk.vertices.is_empty(), |held| {

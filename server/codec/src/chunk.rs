@@ -5,6 +5,8 @@ use bytes::Bytes;
 use isopeel_kernels::{REGION_CELLS, RegionKey};
 use serde::Serialize;
 
+use super::values::Values;
+
 /// First bytes of a chunk.
 pub const MAGIC: [u8; 4] = *b"ISOP";
 /// Version of the layout.
@@ -63,7 +65,18 @@ impl ChunkKind {
     }
 }
 
-/// How a chunk's mesh is coded: the flags of its header.
+/// Bit of the flags that says that values of a field follow the payloads.
+const HAS_VALUES: u8 = 2;
+
+/// Name of the values in the list of codings of a client that reads them.
+const VALUES: &str = "values";
+
+/// Whether a client that has sent these names of codings reads chunks with values.
+pub fn reads_values(names: &[String]) -> bool {
+    names.iter().any(|name| name == VALUES)
+}
+
+/// How a chunk's mesh is coded: the lowest bit of its flags.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Coding {
     /// The mesh is coded by meshoptimizer's codecs.
@@ -85,11 +98,17 @@ impl Coding {
         }
     }
 
-    fn from_flags(flags: u8) -> Result<Self, ChunkError> {
+    /// Returns the coding, and whether the chunk has values.
+    fn from_flags(flags: u8) -> Result<(Self, bool), ChunkError> {
         [Self::Meshopt, Self::Predictive]
             .into_iter()
-            .find(|&coding| coding as u8 == flags)
-            .ok_or_else(|| ChunkError(format!("flags {flags}, expected 0 (meshopt) or 1 (predictive)")))
+            .find(|&coding| coding as u8 == flags & !HAS_VALUES)
+            .map(|coding| (coding, flags & HAS_VALUES != 0))
+            .ok_or_else(|| {
+                ChunkError(format!(
+                    "flags {flags}, expected 0 (meshopt) or 1 (predictive), and 2 more with values"
+                ))
+            })
     }
 }
 
@@ -113,6 +132,8 @@ pub struct ChunkHeader {
     pub prefix: PrefixId,
     /// How the mesh is coded.
     pub coding: Coding,
+    /// Whether values of a field follow the payloads.
+    pub has_values: bool,
     /// The region.
     pub region: RegionKey,
     /// Minimum position of the vertices, index space; zeros if there are none.
@@ -225,7 +246,7 @@ impl ChunkHeader {
         append(&VERSION.to_le_bytes());
         append(&(HEADER_BYTES as u16).to_le_bytes());
         append(&self.prefix.to_bytes());
-        append(&[self.coding as u8]);
+        append(&[self.coding as u8 | if self.has_values { HAS_VALUES } else { 0 }]);
         append(&LATTICE.to_le_bytes());
         append(&u16::from(self.region.size).to_le_bytes());
         self.region.coords.iter().for_each(|v| append(&v.to_le_bytes()));
@@ -262,9 +283,12 @@ impl ChunkHeader {
         expect_u16(4, "version", VERSION)?;
         expect_u16(6, "header length", HEADER_BYTES as u16)?;
         expect_u16(16, "lattice units per cell", LATTICE)?;
+        let prefix = PrefixId::parse(u32_at(8), [frame[12], frame[13], frame[14]])?;
+        let (coding, has_values) = Coding::from_flags(frame[15])?;
         let header = Self {
-            prefix: PrefixId::parse(u32_at(8), [frame[12], frame[13], frame[14]])?,
-            coding: Coding::from_flags(frame[15])?,
+            prefix,
+            coding,
+            has_values,
             region: region_key([20, 24, 28].map(u32_at), u16_at(18)).map_err(ChunkError)?,
             min: [32, 36, 40].map(f32_at),
             max: [44, 48, 52].map(f32_at),
@@ -303,12 +327,20 @@ impl ChunkHeader {
             format!("levels add up to {triangles} triangles, expected {}", index_count / 3)
         })?;
         let length = HEADER_BYTES as u64 + u64::from(vertex_bytes) + u64::from(index_bytes);
-        check(length == frame_bytes as u64, &|| {
-            format!("header and payloads are {length} bytes, the frame has {}", frame_bytes)
+        let has_rest = frame_bytes as u64 > length;
+        check(
+            length <= frame_bytes as u64 && has_rest == self.has_values,
+            &|| match self.has_values {
+                true => format!("header and payloads are {length} bytes, the frame has {frame_bytes}, expected more"),
+                false => format!("header and payloads are {length} bytes, the frame has {frame_bytes}"),
+            },
+        )?;
+        check(!self.has_values || vertex_count > 0, &|| {
+            "values of a chunk without vertices, expected none".into()
         })?;
         if self.prefix.kind == ChunkKind::Error {
-            check(self.coding == Coding::Meshopt, &|| {
-                "flags 1 (predictive) of kind 1 (error), expected 0".into()
+            check(self.coding == Coding::Meshopt && !self.has_values, &|| {
+                "flags of kind 1 (error), expected 0".into()
             })?;
             return check(
                 index_bytes == 0 && u64::from(vertex_bytes) == 4 * u64::from(vertex_count),
@@ -338,6 +370,35 @@ pub struct DecodedChunk {
     pub vertices: Vec<WireVertex>,
     /// Three indices per triangle, ordered by level, finest first. Each index is below the number of vertices.
     pub indices: Vec<u32>,
+    /// The value of a field at each vertex, NaN if it is missing; empty if the chunk has none.
+    pub values: Vec<f32>,
+}
+
+/// Returns the chunk without its values, for a client that does not read them. Copies the bytes only if there are values.
+pub fn without_values(frame: &Bytes) -> Bytes {
+    const FLAGS: usize = 15;
+    let Some(flags) = frame.get(FLAGS).filter(|flags| **flags & HAS_VALUES != 0) else {
+        return frame.clone();
+    };
+    let Ok(header) = ChunkHeader::parse(frame) else {
+        return frame.clone();
+    };
+    let mut copy = frame[..header.payloads_end()].to_vec();
+    copy[FLAGS] = flags & !HAS_VALUES;
+    copy.into()
+}
+
+impl ChunkHeader {
+    /// Returns the end of the payloads in the frame, at which the values begin.
+    fn payloads_end(&self) -> usize {
+        HEADER_BYTES + self.vertex_bytes as usize + self.index_bytes as usize
+    }
+
+    /// Reads the values of a frame with this header, if it has any.
+    pub(super) fn values(&self, frame: &[u8]) -> Result<Option<Values>, ChunkError> {
+        let values = || Values::parse(&frame[self.payloads_end()..], self.vertex_count as usize);
+        self.has_values.then(values).transpose().map_err(ChunkError)
+    }
 }
 
 /// Decodes a chunk of errors: the distances of a region's vertices to the isosurface. Safe on any bytes.
@@ -363,16 +424,18 @@ pub(super) fn decode_meshopt(frame: &[u8]) -> Result<DecodedChunk, ChunkError> {
         "kind 1 (error), expected 0 (cut)".into()
     })?;
     check(header.coding == Coding::Meshopt, &|| {
-        "flags 1 (predictive), expected 0 (meshopt)".into()
+        "flags with 1 (predictive), expected 0 (meshopt)".into()
     })?;
     if header.vertex_count == 0 {
         return Ok(DecodedChunk {
             header,
             vertices: Vec::new(),
             indices: Vec::new(),
+            values: Vec::new(),
         });
     }
-    let (vertex_payload, index_payload) = frame[HEADER_BYTES..].split_at(header.vertex_bytes as usize);
+    let payloads = &frame[HEADER_BYTES..header.payloads_end()];
+    let (vertex_payload, index_payload) = payloads.split_at(header.vertex_bytes as usize);
     let vertices: Vec<WireVertex> = meshopt::decode_vertex_buffer(vertex_payload, header.vertex_count as usize)
         .map_err(|error| ChunkError(format!("vertex payload: {error}")))?;
     let indices: Vec<u32> = meshopt::decode_index_buffer(index_payload, header.index_count as usize)
@@ -380,9 +443,11 @@ pub(super) fn decode_meshopt(frame: &[u8]) -> Result<DecodedChunk, ChunkError> {
     if let Some(index) = indices.iter().find(|&&i| i >= header.vertex_count) {
         return Err(ChunkError(format!("index {index} of {} vertices", header.vertex_count)));
     }
+    let values = header.values(frame)?;
     Ok(DecodedChunk {
         header,
         vertices,
         indices,
+        values: values.map(|values| values.to_vec()).unwrap_or_default(),
     })
 }

@@ -11,11 +11,14 @@ pub fn decode(frame: &[u8]) -> Result<DecodedChunk, ChunkError> {
     let header = ChunkHeader::parse(frame)?;
     match (header.prefix.kind, header.coding) {
         (ChunkKind::Cut, Coding::Predictive) if header.vertex_count > 0 => {
-            let (vertices, indices) = predictive::decode(&header, &frame[HEADER_BYTES..])?;
+            let payload = &frame[HEADER_BYTES..][..header.vertex_bytes as usize];
+            let (vertices, indices) = predictive::decode(&header, payload)?;
+            let values = header.values(frame)?;
             Ok(DecodedChunk {
                 header,
                 vertices,
                 indices,
+                values: values.map(|values| values.to_vec()).unwrap_or_default(),
             })
         }
         (ChunkKind::Cut | ChunkKind::Error, Coding::Meshopt | Coding::Predictive) => decode_meshopt(frame),

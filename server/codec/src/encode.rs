@@ -13,6 +13,7 @@ use super::chunk::{
 use super::index_codec::IndexWriter;
 use super::order::Traversal;
 use super::predictive;
+use super::values::Values;
 use super::vertex_codec::VertexWriter;
 
 /// Why a region cannot be encoded. Such an error is a fault of this program, not of its input.
@@ -81,8 +82,8 @@ fn leading_byte(value: u16) -> u16 {
     }
 }
 
-/// Returns the chunk of a region. A chunk without vertices removes its region. For the best compression, triangles are ordered within their
-/// level, and vertices by their first use.
+/// Returns the chunk of a region, with values if the region has them. A chunk without vertices removes its region. For the best compression,
+/// triangles are ordered within their level, and vertices by their first use.
 ///
 /// # Errors
 /// An index is above the last vertex, there are more indices or vertices than a chunk may have, the levels do not add up, the region has a
@@ -93,10 +94,22 @@ pub fn encode(region: &Region, prefix: PrefixId) -> Result<Bytes, EncodeError> {
         scratch.write(region);
         let vertex_payload = scratch.vertex_payload.payload();
         let index_payload = scratch.indices.payload();
+        let values = match region.values.is_empty() || scratch.vertices.is_empty() {
+            true => Vec::new(),
+            false => {
+                let order = scratch.indices.order().iter();
+                let values = Values::new(order.map(|&old| region.values[old as usize]));
+                values.to_bytes().map_err(|why| EncodeError {
+                    region: region.key(),
+                    why,
+                })?
+            }
+        };
         let (min, max) = bounds(region.key(), &scratch.vertices);
         let header = ChunkHeader {
             prefix,
             coding: Coding::Meshopt,
+            has_values: !values.is_empty(),
             region: region.key(),
             min,
             max,
@@ -107,10 +120,11 @@ pub fn encode(region: &Region, prefix: PrefixId) -> Result<Bytes, EncodeError> {
             level_triangles: region.level_triangles,
         };
         let payloads = header.vertex_bytes + header.index_bytes;
-        let mut frame = Vec::with_capacity(HEADER_BYTES + payloads as usize);
+        let mut frame = Vec::with_capacity(HEADER_BYTES + payloads as usize + values.len());
         frame.extend_from_slice(&header.to_bytes());
         frame.extend_from_slice(vertex_payload);
         index_payload.iter().for_each(|part| frame.extend_from_slice(part));
+        frame.extend_from_slice(&values);
         Ok(frame.into())
     })
 }
@@ -156,6 +170,7 @@ pub fn encode_errors(
         let header = ChunkHeader {
             prefix,
             coding: Coding::Meshopt,
+            has_values: false,
             region: region.key(),
             min,
             max,
@@ -201,6 +216,9 @@ fn check(region: &Region) -> Result<(), EncodeError> {
         )));
     }
     let vertices = region.vertices.len();
+    if !region.values.is_empty() && region.values.len() != vertices {
+        return Err(fault(format!("{} values of {vertices} vertices", region.values.len())));
+    }
     let longer = region.indices.len().max(vertices);
     if longer > MAX_INDICES as usize {
         return Err(fault(format!(
@@ -255,6 +273,9 @@ impl MeshHash {
         VERTEX_HASHES.with_borrow_mut(|hashes| {
             hashes.clear();
             hashes.extend(region.vertices.iter().map(|vertex| WireVertex::quantise(vertex).hash()));
+            for (hash, value) in hashes.iter_mut().zip(region.values.iter()) {
+                *hash = folded_product(*hash ^ HASH_KEYS[1], u64::from(value.to_bits()) ^ HASH_KEYS[0]);
+            }
             // A missing hash is no error here, because an index above the last vertex is refused when the region is encoded.
             let hash_of = |index: u32| hashes.get(index as usize).copied().unwrap_or_default();
             let (mut unordered, mut ordered) = (0_u64, Xxh3::new());

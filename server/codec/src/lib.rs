@@ -3,6 +3,7 @@
 //! - [`chunk`]: header, checks and vertices of a chunk.
 //! - [`encode`]: the encoder. `order` orders the triangles; `index_codec` and `vertex_codec` write the payloads.
 //! - [`predictive`]: chunks for slow lines, with `range_coder`.
+//! - `values`: values of a field at the vertices, which follow the payloads.
 //! - [`decode`]: chunks as a client reads them.
 
 pub mod chunk;
@@ -12,4 +13,5 @@ mod index_codec;
 mod order;
 pub mod predictive;
 mod range_coder;
+mod values;
 mod vertex_codec;

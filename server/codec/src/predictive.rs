@@ -37,9 +37,14 @@ pub fn encode(frame: &Bytes) -> Result<Bytes, ChunkError> {
         index_bytes: 0,
         ..decoded.header
     };
-    let mut encoded = Vec::with_capacity(HEADER_BYTES + payload.len());
+    let values = match decoded.header.values(frame)? {
+        Some(values) => values.in_order(&order).to_bytes().map_err(ChunkError::new)?,
+        None => Vec::new(),
+    };
+    let mut encoded = Vec::with_capacity(HEADER_BYTES + payload.len() + values.len());
     encoded.extend_from_slice(&header.to_bytes());
     encoded.extend_from_slice(&payload);
+    encoded.extend_from_slice(&values);
     Ok(encoded.into())
 }
 

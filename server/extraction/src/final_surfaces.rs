@@ -16,7 +16,8 @@ use super::workspace::Workspace;
 use super::{Extraction, MeasuredError, Measurement};
 
 impl Workspace {
-    /// Makes the final surface as `making` says, from a cached pyramid if there is one. The surface's stages are those of this job alone.
+    /// Makes the final surface as `making` says, from a cached pyramid if there is one. The surface's stages are those of this job alone. It
+    /// has no values for colours: files have the values of any number of fields instead.
     ///
     /// # Errors
     /// [`JobError`].
@@ -27,7 +28,11 @@ impl Workspace {
         making: Making,
         context: &mut JobContext<'_, Self>,
     ) -> Result<Extraction, JobError> {
-        let (start, mut view) = (Instant::now(), view.clone());
+        let start = Instant::now();
+        let mut view = View {
+            color_field: None,
+            ..view.clone()
+        };
         let (surface, refined, wall) =
             self.with_pyramid(volume, &mut view, Nodes::OfTheView, context, |job, view, cancel| {
                 let (surface, refined) = job.final_surface(view, making, cancel)?;
@@ -118,6 +123,6 @@ impl OnDevice<'_> {
         let surface = self
             .engine
             .surface(self.volume, self.pyramid, &params, &cut, None, cancel)?;
-        Ok((self.with_all_stages(surface), None))
+        Ok((self.complete(surface, cancel)?, None))
     }
 }

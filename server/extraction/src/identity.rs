@@ -12,7 +12,7 @@ use isopeel_view::{CameraJson, ChosenPartsJson, FeatureName, InterestJson, Trans
 use isopeel_volumes::VolumeStep;
 use serde::{Deserialize, Serialize};
 
-use super::keys::VolumeKey;
+use super::keys::{VolumeKey, color_key};
 
 /// Number of the last engine.
 pub(crate) static LAST_ENGINE: AtomicU64 = AtomicU64::new(0);
@@ -103,7 +103,7 @@ impl PartRules {
 }
 
 /// Identity of the full surface of a resolved view: samples and their revision, engine, time step, field, mask, isovalue, feature and its
-/// range, and the parts that are left out.
+/// range, the field for colours, and the parts that are left out.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct SurfaceKey(Arc<SurfaceParts>);
 
@@ -112,6 +112,8 @@ struct SurfaceParts {
     engine: EngineId,
     pyramid: PyramidKey,
     feature_range: Option<[u32; 2]>,
+    /// The field whose values accompany the vertices.
+    colors: Option<VolumeKey>,
     parts: PartRules,
 }
 
@@ -122,6 +124,7 @@ impl SurfaceKey {
             engine,
             pyramid: PyramidKey::new(volume, view),
             feature_range: view.feature_range.map(|range| range.map(bits)),
+            colors: color_key(volume, view),
             parts: PartRules::new(view),
         }))
     }
@@ -131,10 +134,10 @@ impl SurfaceKey {
         self.0.pyramid.crossing == other.0.pyramid.crossing
     }
 
-    /// Whether the full surfaces also have the same vertices, including the values of the feature.
+    /// Whether the full surfaces also have the same vertices, including the values of the feature and those for colours.
     pub fn has_vertices_of(&self, other: &Self) -> bool {
         let vertices = |key: &Self| (key.0.engine, key.0.feature_range);
-        self.0.pyramid == other.0.pyramid && vertices(self) == vertices(other)
+        self.0.pyramid == other.0.pyramid && vertices(self) == vertices(other) && self.0.colors == other.0.colors
     }
 }
 
@@ -395,6 +398,9 @@ mod tests {
             r#"{"iso":1,"mask":"labels==2"}"#,
             r#"{"iso":1,"feature":"gradient-magnitude"}"#,
             r#"{"iso":1,"featureRange":[0,2]}"#,
+            r#"{"iso":1,"colorField":"labels"}"#,
+            r#"{"iso":1,"colorField":"density"}"#,
+            r#"{"iso":1,"colorField":"density+labels"}"#,
             r#"{"iso":1,"alpha":0.5}"#,
             r#"{"iso":1,"beta":0.5}"#,
             r#"{"iso":1,"error":0.5}"#,
@@ -493,7 +499,11 @@ mod tests {
     #[test]
     fn a_feature_changes_vertices_but_no_triangles() {
         let plain = key(r#"{"iso":1}"#);
-        for edit in [r#"{"iso":1,"feature":"labels"}"#, r#"{"iso":1,"featureRange":[0,2]}"#] {
+        for edit in [
+            r#"{"iso":1,"feature":"labels"}"#,
+            r#"{"iso":1,"featureRange":[0,2]}"#,
+            r#"{"iso":1,"colorField":"labels"}"#,
+        ] {
             let other = key(edit);
             assert!(plain.surface().has_triangles_of(other.surface()), "{edit}");
             assert!(!plain.surface().has_vertices_of(other.surface()), "{edit}");

@@ -170,7 +170,14 @@ pub(crate) fn feature_keys(volume: &VolumeStep, shown: &str, feature: &FeatureNa
     keys
 }
 
-/// Returns the keys of the fields of which a view's surface is made, each once. The shown field comes first.
+/// Returns the key of the field whose values accompany a view's surface. Neither a mask nor a cap changes these values.
+pub(crate) fn color_key(volume: &VolumeStep, view: &View) -> Option<VolumeKey> {
+    let field = view.color_field.as_ref()?;
+    Some(VolumeKey::new(volume, field, false))
+}
+
+/// Returns the keys of the fields of which a view's surface is made, and of the field whose values accompany it, each once. The shown field
+/// comes first.
 pub fn view_keys(volume: &VolumeStep, view: &View) -> Vec<VolumeKey> {
     let mut keys = vec![VolumeKey::shown(volume, view, view.cap)];
     // A feature derived from the shown field needs no other field, whether the shown field is masked or not.
@@ -182,6 +189,8 @@ pub fn view_keys(volume: &VolumeStep, view: &View) -> Vec<VolumeKey> {
             .collect::<Vec<_>>();
         keys.extend(others);
     }
+    let color_key = color_key(volume, view).filter(|key| !keys.contains(key));
+    keys.extend(color_key);
     keys
 }
 
@@ -230,6 +239,18 @@ mod tests {
             .iter()
             .map(name)
             .collect()
+    }
+
+    #[test]
+    fn the_field_of_the_colours_is_loaded_once_and_not_masked() {
+        let loaded = |edit| loaded(edit, Masking::OnHost);
+        assert_eq!(loaded(r#"{"feature":"none","colorField":"heat"}"#), ["density", "heat"]);
+        assert_eq!(loaded(r#"{"feature":"heat","colorField":"heat"}"#), ["density", "heat"]);
+        assert_eq!(loaded(r#"{"feature":"none","colorField":"density"}"#), ["density"]);
+        let masked = r#"{"feature":"none","mask":"labels==1","cap":true,"colorField":"density"}"#;
+        assert_eq!(loaded(masked), ["+density", "density"]);
+        let computed = r#"{"feature":"none","colorField":"heat*2"}"#;
+        assert_eq!(loaded(computed), ["density", "heat", "heat*2"]);
     }
 
     #[test]

@@ -4,7 +4,9 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use isopeel_geometry::IndexSpace;
-use isopeel_kernels::{Cancel, CutParams, Engine, Error, Isovalue, Level, Pyramid, StageTime, Surface, Volume};
+use isopeel_kernels::{
+    Cancel, CutParams, Engine, Error, Isovalue, Level, Pyramid, Region, StageTime, Surface, ValuesOf, Volume,
+};
 use isopeel_view::View;
 use isopeel_volumes::VolumeStep;
 use rayon::ThreadPool;
@@ -15,6 +17,7 @@ use super::cuts::Cuts;
 use super::dataset_views::view_space;
 use super::identity::PyramidKey;
 use super::job_error::JobError;
+use super::keys::color_key;
 use super::observer::Observer;
 use super::workspace::{Trees, Workspace};
 
@@ -28,6 +31,8 @@ pub(crate) struct OnDevice<'a> {
     pub key: PyramidKey,
     pub volume: &'a Volume,
     pub pyramid: &'a Pyramid,
+    /// The field whose values accompany the surface, and how they are found.
+    colors: Option<(Arc<Volume>, ValuesOf)>,
     /// Whether the pyramid was cached before the job.
     was_cached: bool,
     /// Whether the work may take long. Only such work pauses.
@@ -55,16 +60,28 @@ impl OnDevice<'_> {
         self.job_times.time_without_pauses(start)
     }
 
-    /// Adds to the surface's stages those that the job ran before its last pause. If the job has built the pyramid, the pyramid's stages
-    /// come first. Reports all stages to the observer.
-    pub(crate) fn with_all_stages(&self, mut surface: Surface) -> Surface {
+    /// Sets the values of the view's field for colours at the vertices of regions, if there is one.
+    pub(crate) fn set_values(&self, regions: &mut [Region], cancel: &dyn Cancel) -> Result<(), Error> {
+        match &self.colors {
+            Some((field, values)) => self.engine.vertex_values(field, *values, regions, cancel),
+            None => Ok(()),
+        }
+    }
+
+    /// Sets the values for colours. Adds to the surface's stages those that the job ran before its last pause. If the job has built the
+    /// pyramid, the pyramid's stages come first. Reports all stages to the observer.
+    pub(crate) fn complete(&self, mut surface: Surface, cancel: &dyn Cancel) -> Result<Surface, WorkError> {
+        self.set_values(&mut surface.regions, cancel)?;
         let stages = &mut surface.statistics.stages;
+        if self.colors.is_some() {
+            stages.extend(self.engine.take_times()?);
+        }
         self.job_times.complete(stages);
         stages.splice(0..0, self.new_pyramid_stages().iter().cloned());
         for stage in stages.iter() {
             self.observer.stage(stage.stage, stage.milliseconds);
         }
-        surface
+        Ok(surface)
     }
 
     /// Returns the stages of the pyramid if this job has built it, else none.
@@ -135,6 +152,17 @@ impl Workspace {
             .get(&key)
             .is_some_and(|cached| cells_suffice || cached.is_whole());
         self.observer.looked_up("pyramid", is_cached);
+        let colors = match color_key(volume, view) {
+            Some(key) => {
+                let field = self.volumes.peek(&key).map(Arc::clone).ok_or(WorkError::Stopped)?;
+                let values = ValuesOf {
+                    padding: u32::from(view.cap),
+                    nearest: key.field_of(volume)?.has_labels(),
+                };
+                Some((field, values))
+            }
+            None => None,
+        };
         let (engine, cuts, trees) = (self.shared_engine(), Arc::clone(&self.cuts), Arc::clone(&self.trees));
         let (observer, long_work) = (Arc::clone(&self.observer), self.long_work.clone());
         // An error is ignored here: if the device failed, the job's next launch reports it.
@@ -162,6 +190,7 @@ impl Workspace {
             key,
             volume: &shown_volume,
             pyramid: &pyramid,
+            colors,
             was_cached: is_cached,
             may_take_long: context.may_take_long(),
             job_times: &job_times,

@@ -169,7 +169,7 @@ impl Workspace {
         Ok(Probe {
             position,
             inside: true,
-            values: self.values_at(volume, index)?,
+            values: self.values_at(volume, shown, index)?,
             nearest,
         })
     }
@@ -193,8 +193,11 @@ impl Workspace {
                 TreeCut::Made(made) => made.surface,
                 TreeCut::Refused(_) | TreeCut::NoTree => {
                     let (params, cut) = (job.params_of(view), job.cut_of(shown.cut, view)?);
-                    job.engine
-                        .surface(job.volume, job.pyramid, &params, &cut, None, cancel)?
+                    let mut surface = job
+                        .engine
+                        .surface(job.volume, job.pyramid, &params, &cut, None, cancel)?;
+                    job.set_values(&mut surface.regions, cancel)?;
+                    surface
                 }
             };
             let regions = surface.regions;
@@ -212,10 +215,19 @@ impl Workspace {
         })
     }
 
-    /// Returns the value of every field at a position of index space. Does not load fields that are not resident.
-    fn values_at(&self, volume: &VolumeStep, index: [f32; 3]) -> Result<Vec<FieldValue>, JobError> {
-        let fields = volume.dataset().fields.iter().map(|field| {
-            let value = match self.resident(&VolumeKey::new(volume, &field.name, false)) {
+    /// Returns the value of every field at a position of index space, and that of the expression for colours, if the surface has one. Does
+    /// not load fields that are not resident.
+    fn values_at(
+        &self,
+        volume: &VolumeStep,
+        shown: Option<&ShownSurface>,
+        index: [f32; 3],
+    ) -> Result<Vec<FieldValue>, JobError> {
+        let names = volume.dataset().fields.iter().map(|field| &field.name);
+        let expression = shown.and_then(|shown| shown.view.color_field.as_ref());
+        let expression = expression.filter(|name| volume.dataset().field(name).is_none());
+        let fields = names.chain(expression).map(|name| {
+            let value = match self.resident(&VolumeKey::new(volume, name, false)) {
                 None => Err(NoValue::NotResident),
                 Some(resident) => {
                     let value = self.engine().value_at(resident, index)?;
@@ -223,7 +235,7 @@ impl Workspace {
                 }
             };
             Ok(FieldValue {
-                field: field.name.clone(),
+                field: name.clone(),
                 value: value.ok(),
                 why: value.err(),
             })

@@ -152,7 +152,7 @@ impl Workspace {
             // A cut of cubes still contains the parts that are to be removed, so a cut of the tree follows.
             let is_final = cut.is_none() && !view.removes_parts();
             let result = StepResult {
-                surface: job.with_all_stages(surface),
+                surface: job.complete(surface, cancel)?,
                 is_final,
                 cut: cut.map_or(target_id, |cut| lock(job.cuts).insert(Arc::new(cut))),
                 target: Some(target_id),
@@ -239,7 +239,7 @@ fn make_unfitted(job: &OnDevice<'_>, view: &View, prefix: Level, cancel: &dyn Ca
         .engine
         .surface(job.volume, job.pyramid, &params, &cut, None, cancel)?;
     Ok(StepResult {
-        surface: job.with_all_stages(surface),
+        surface: job.complete(surface, cancel)?,
         is_final: false,
         cut: lock(job.cuts).insert(Arc::new(cut)),
         target: None,

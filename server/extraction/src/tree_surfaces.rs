@@ -293,15 +293,15 @@ impl OnDevice<'_> {
             is_tree_cut: true,
             pixels: seen.map(|seen| seen.error_of(made.tolerance, &made.surface, &tree)),
         });
-        Ok(TreeCut::Made(Box::new(self.with_stages_of_all(made))))
+        Ok(TreeCut::Made(Box::new(self.complete_cut(made, cancel)?)))
     }
 
-    /// As [`OnDevice::with_all_stages`].
-    fn with_stages_of_all(&self, made: TreeSurface) -> TreeSurface {
-        TreeSurface {
-            surface: self.with_all_stages(made.surface),
+    /// As [`OnDevice::complete`].
+    fn complete_cut(&self, made: TreeSurface, cancel: &dyn Cancel) -> Result<TreeSurface, WorkError> {
+        Ok(TreeSurface {
+            surface: self.complete(made.surface, cancel)?,
             ..made
-        }
+        })
     }
 
     /// Returns the regions of the cut of the tree that a client shows, if they are cached.
@@ -364,7 +364,10 @@ impl OnDevice<'_> {
             .engine
             .tree_prefix(self.volume, self.pyramid, &tree, &params, &coarser, shown, cancel)?;
         let is_small = made.surface.statistics.triangles <= goal.max_triangles.min(limits.max_triangles);
-        Ok(is_small.then(|| self.with_stages_of_all(made)))
+        Ok(match is_small {
+            true => Some(self.complete_cut(made, cancel)?),
+            false => None,
+        })
     }
 
     /// Returns the surface that [`OnDevice::tree_surface`] made of a view, refined at intersecting triangles.
@@ -408,7 +411,7 @@ impl OnDevice<'_> {
         if let Some(fitted) = &mut view.fitted {
             fitted.threshold = tolerance;
         }
-        Ok((self.with_all_stages(surface), cost))
+        Ok((self.complete(surface, cancel)?, cost))
     }
 
     /// Makes the surface of a view that an error or a budget decides: a cut of the tree, or a cut of cubes. `tree_first`: whether to cut

@@ -445,6 +445,7 @@ mod tests {
                 .to_vec()
                 .into(),
             indices: vec![0, 1, 2].into(),
+            values: Vec::new().into(),
             level_triangles: [0, 0, 0, 0, 0, 1],
             error: None,
         }]);

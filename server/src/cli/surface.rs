@@ -224,6 +224,7 @@ impl SurfaceArgs {
             mask: self.mask.clone().map(Some),
             feature: self.feature.clone(),
             feature_range: self.feature_range.as_deref().and_then(|range| range.try_into().ok()),
+            color_field: None,
             alpha: self.alpha,
             beta: self.beta,
             error: self.error,

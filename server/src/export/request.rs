@@ -300,6 +300,7 @@ impl FileRequest {
             mask: None,
             feature: None,
             feature_range: None,
+            color_field: None,
             ..self.edit.clone()
         };
         View::requested(&edit, &["field"]).map(|_| ())

@@ -259,6 +259,7 @@ mod tests {
             size: key.size,
             vertices: [[0, 0, 0], [65536, 0, 0], [0, 65536, 0]].map(vertex).to_vec().into(),
             indices: vec![0, 1, 2].into(),
+            values: Vec::new().into(),
             level_triangles: [1, 0, 0, 0, 0, 0],
             error: None,
         }

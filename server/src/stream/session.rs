@@ -179,6 +179,8 @@ pub(super) struct Session<B> {
     heartbeat: Heartbeat,
     /// The best coding that the client can read.
     coding: Coding,
+    /// Whether the client reads values of a field behind a mesh.
+    reads_values: bool,
     /// Bytes in flight, which the client has not confirmed.
     line: Line,
     questions: Questions,
@@ -218,6 +220,7 @@ impl<B: Backend> Session<B> {
             pace: Pace::new(step_times),
             heartbeat: Heartbeat::new(),
             coding: Coding::default(),
+            reads_values: false,
             line: Line::new(),
             questions: Questions::default(),
             ahead: None,

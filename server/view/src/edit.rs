@@ -40,6 +40,16 @@ pub struct Edit {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "openapi", schema(min_items = 2, max_items = 2))]
     pub feature_range: Option<[f32; 2]>,
+    /// Field whose values at the vertices are sent for colours, or an expression over fields; null: none. It changes no triangle. The field
+    /// of `feature` needs no such values: chunks have it already.
+    #[serde(
+        default,
+        skip_serializing_if = "Option::is_none",
+        deserialize_with = "mask::some_mask"
+    )]
+    #[cfg_attr(feature = "openapi", schema(value_type = Option<String>))]
+    #[cfg_attr(feature = "typescript", ts(type = "string | null"))]
+    pub color_field: Option<Option<String>>,
     /// Weight of the feature against smoothness, 0 to 1.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub alpha: Option<f32>,

@@ -56,6 +56,8 @@ pub struct View {
     pub feature: FeatureName,
     /// Feature values that become 0 and 1; `None`: the feature's own range.
     pub feature_range: Option<[f32; 2]>,
+    /// Field, or expression over fields, whose values at the vertices accompany the surface, for colours. It decides no triangle.
+    pub color_field: Option<String>,
     /// Weight of the feature against smoothness, 0 to 1.
     pub alpha: f32,
     /// Importance up to which a cube is decimated. Used only if there is neither an error nor a budget.
@@ -96,16 +98,16 @@ pub struct View {
     pub camera: Option<Box<CameraJson>>,
 }
 
-/// Checks that `field` is a field of the volume, or an expression over its fields.
-fn check_field(field: &str, fields: &[&str]) -> Result<(), EditError> {
+/// Checks that `field`, a value of `name` in an edit, is a field of the volume, or an expression over its fields.
+fn check_field(name: &'static str, field: &str, fields: &[&str]) -> Result<(), EditError> {
     if fields.contains(&field) {
         return Ok(());
     }
     if FieldExpression::may_be(field) {
-        return FieldExpression::parse(field, fields, "field").map(drop);
+        return FieldExpression::parse(field, fields, name).map(drop);
     }
     Err(EditError {
-        field: "field",
+        field: name,
         why: format!("{field:?}, expected one of {}", quoted(fields)),
     })
 }
@@ -133,6 +135,7 @@ impl View {
             mask: None,
             feature: FeatureName::None,
             feature_range: None,
+            color_field: None,
             alpha: 0.0,
             beta: 0.02,
             error: None,
@@ -185,7 +188,7 @@ impl View {
             })?);
         }
         if let Some(field) = &edit.field {
-            check_field(field, fields)?;
+            check_field("field", field, fields)?;
             view.field.clone_from(field);
         }
         if let Some(mask) = &edit.mask {
@@ -208,6 +211,12 @@ impl View {
                 });
             }
             view.feature_range = Some([lo, hi]);
+        }
+        if let Some(color_field) = &edit.color_field {
+            if let Some(field) = color_field {
+                check_field("colorField", field, fields)?;
+            }
+            view.color_field.clone_from(color_field);
         }
         if let Some(alpha) = edit.alpha {
             if !(0.0..=1.0).contains(&alpha) {
@@ -519,6 +528,7 @@ impl View {
             mask: Some(self.mask.as_ref().map(|mask| mask.as_str().to_owned())),
             feature: Some(self.feature.as_str().to_owned()),
             feature_range: self.feature_range,
+            color_field: Some(self.color_field.clone()),
             alpha: Some(self.alpha),
             beta: beta_decides.then_some(self.beta),
             error: self.error,

@@ -31,6 +31,29 @@ fn an_edit_changes_what_it_names_and_nothing_else() {
 }
 
 #[test]
+fn the_field_of_the_colours_is_a_field_an_expression_or_none() {
+    let start = View::opening(FIELDS, None).expect("defaults");
+    assert_eq!(start.color_field, None);
+    let colored = start.apply(&edit(r#"{"colorField":"gm"}"#), FIELDS).expect("valid");
+    assert_eq!(colored.color_field.as_deref(), Some("gm"));
+    let computed = colored.apply(&edit(r#"{"colorField":"log(t1) + gm"}"#), FIELDS);
+    assert_eq!(computed.expect("valid").color_field.as_deref(), Some("log(t1) + gm"));
+    let same = colored.apply(&edit(r#"{"alpha":0.25}"#), FIELDS).expect("valid");
+    assert_eq!(same.color_field, colored.color_field);
+    assert_eq!(
+        same.feature_range, start.feature_range,
+        "it has nothing to do with the feature"
+    );
+    let json = serde_json::to_value(same.to_edit()).expect("JSON");
+    assert_eq!(json["colorField"], "gm");
+    let none = same.apply(&edit(r#"{"colorField":null}"#), FIELDS).expect("valid");
+    assert_eq!(none.color_field, None);
+    let why = |json| start.apply(&edit(json), FIELDS).expect_err("refused").to_string();
+    assert!(why(r#"{"colorField":"wm"}"#).contains(r#"colorField: "wm", expected one of "t1""#));
+    assert!(why(r#"{"colorField":"log(wm)"}"#).starts_with("colorField: "));
+}
+
+#[test]
 fn a_new_feature_brings_its_own_range() {
     let start = View::opening(FIELDS, None).expect("defaults");
     let ranged = start

@@ -11,6 +11,7 @@ mod bench;
 mod budgets;
 mod bytes;
 mod cameras;
+mod color_field;
 mod command_line;
 mod crowd;
 mod device_process;

@@ -17,13 +17,43 @@ export interface DecodedChunk {
   readonly vertices: Int16Array<ArrayBuffer>;
   /** Three per triangle; 16-bit when the vertices allow. */
   readonly indices: Uint16Array<ArrayBuffer> | Uint32Array<ArrayBuffer>;
+  /** The value of a field at each vertex, NaN if it is missing; only if the chunk has values. */
+  readonly values?: Float32Array<ArrayBuffer>;
 }
+
+/** Step of a vertex without a value, and that of the end of the range. */
+const MISSING = 65535;
+const LAST_STEP = MISSING - 1;
 
 /**
  * Decodes a frame whose header was read and checked.
  * @throws ChunkError when a payload is damaged or an index has no vertex
  */
 export function decodeChunk(decoder: MeshDecoder, header: ChunkHeader, frame: ArrayBuffer): DecodedChunk {
+  const mesh = decodeMesh(decoder, header, frame);
+  return header.valueBytes === 0 ? mesh : { ...mesh, values: decodeValues(decoder, header, frame) };
+}
+
+/** The values behind the payloads: the ends of their range, then steps between these. */
+function decodeValues(decoder: MeshDecoder, { vertexCount, vertexBytes, indexBytes, valueBytes, region }: ChunkHeader, frame: ArrayBuffer): Float32Array<ArrayBuffer> {
+  const from = HEADER_BYTES + vertexBytes + indexBytes;
+  const range = new DataView(frame, from, 8);
+  const [low, high] = [range.getFloat32(0, true), range.getFloat32(4, true)];
+  const words = new Uint16Array(2 * vertexCount);
+  const where = `mesh chunk of region (${region.join(", ")})`;
+  if (!Number.isFinite(low) || !Number.isFinite(high) || low > high) throw new ChunkError(`${where}: values from ${low} to ${high}, expected finite numbers in ascending order`);
+  try {
+    decoder.decodeVertexBuffer(new Uint8Array(words.buffer), vertexCount, 4, new Uint8Array(frame, from + 8, valueBytes - 8));
+  } catch (error) {
+    throw new ChunkError(`${where}: damaged values: ${error instanceof Error ? error.message : String(error)}`);
+  }
+  return Float32Array.from({ length: vertexCount }, (_, i) => {
+    const step = words[2 * i] ?? MISSING;
+    return step === MISSING ? NaN : low + (step / LAST_STEP) * (high - low);
+  });
+}
+
+function decodeMesh(decoder: MeshDecoder, header: ChunkHeader, frame: ArrayBuffer): DecodedChunk {
   const { vertexCount, indexCount, vertexBytes, indexBytes } = header;
   if (header.coding === "predictive" && vertexCount > 0) {
     const decoded = decodePredictive(header, new Uint8Array(frame, HEADER_BYTES, vertexBytes));

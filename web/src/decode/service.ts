@@ -56,7 +56,8 @@ export class DecodeService {
     try {
       await this.decoder.ready;
       const chunk = decodeChunk(this.decoder, readChunkHeader(frame), frame);
-      this.reply({ type: "decoded", id, chunk }, [chunk.vertices.buffer, chunk.indices.buffer]);
+      const { vertices, indices, values } = chunk;
+      this.reply({ type: "decoded", id, chunk }, [vertices.buffer, indices.buffer, ...(values === undefined ? [] : [values.buffer])]);
     } catch (error) {
       this.frames.delete(id);
       this.reply({ type: "failed", id, error: text(error) }, []);

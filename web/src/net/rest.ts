@@ -37,9 +37,14 @@ export async function extract(base: URL, volume: string, step: number, format: s
   const response = await ask(url, {
     method: "POST",
     headers: { "content-type": "application/json" },
-    body: JSON.stringify({ ...edit, volume, step, format }),
+    body: JSON.stringify({ ...withFieldValues(edit), volume, step, format }),
   });
   return response.blob();
+}
+
+/** A file has the values of the field for colours at its vertices, if the format can hold them. */
+function withFieldValues({ colorField, ...edit }: Edit): object {
+  return colorField === undefined || colorField === null ? edit : { ...edit, fieldValues: [colorField] };
 }
 
 /** @throws with the server's own message if it refuses */

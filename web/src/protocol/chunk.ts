@@ -23,14 +23,18 @@ export const MAX_VERTICES = 3 * MAX_TRIANGLES;
 /** Kinds of chunks, by their numbers: a region of a prefix, or the distance of each of its vertices to the isosurface. */
 const KINDS = ["cut", "error"] as const;
 
-/** Codings of a mesh, by the flags of its chunk. The second one is sent only on request. */
+/** Codings of a mesh, by the lowest bit of its chunk's flags. The second one is sent only on request. */
 const CODINGS = ["meshopt", "predictive"] as const;
-/** Codings that a client may request when it opens a volume. */
-export const ASKED_CODINGS: readonly string[] = CODINGS.slice(1);
+/** Bit of the flags: values of a field follow the payloads. Sent only on request. */
+const HAS_VALUES = 2;
+/** What a client may request when it opens a volume. */
+export const ASKED_CODINGS: readonly string[] = [...CODINGS.slice(1), "values"];
 
 export interface ChunkHeader {
   readonly kind: (typeof KINDS)[number];
   readonly coding: (typeof CODINGS)[number];
+  /** Bytes of the values behind the payloads; 0 if there are none. */
+  readonly valueBytes: number;
   readonly generation: number;
   /** Level of the prefix. */
   readonly level: number;
@@ -76,8 +80,9 @@ export function readChunkHeader(frame: ArrayBuffer): ChunkHeader {
   const surface = view.getUint8(14);
   check(surface < MAX_SURFACES, `surface ${surface}, expected 0 to ${MAX_SURFACES - 1}`);
   const flags = view.getUint8(15);
-  const coding = CODINGS[flags];
-  check(coding !== undefined && (kind === "cut" || flags === 0), `flags ${flags} of kind ${kind}, expected 0 (meshopt) or, of cut, 1 (predictive)`);
+  const hasValues = (flags & HAS_VALUES) !== 0;
+  const coding = CODINGS[flags & ~HAS_VALUES];
+  check(coding !== undefined && (kind === "cut" || flags === 0), `flags ${flags} of kind ${kind}, expected 0 (meshopt) or, of cut, 1 (predictive), and 2 more with values`);
   const { region, size } = readRegion(view);
   const lattice = view.getUint16(16, true);
   const maxLattice = Math.floor(0x7fff / (REGION_CELLS << size));
@@ -92,7 +97,7 @@ export function readChunkHeader(frame: ArrayBuffer): ChunkHeader {
     region,
     size,
     bounds: readBounds(view),
-    ...readCounts(view, kind, coding),
+    ...readCounts(view, kind, coding, hasValues),
   };
 }
 
@@ -132,9 +137,9 @@ function readBounds(view: DataView): ChunkHeader["bounds"] {
   return { min, max };
 }
 
-type Counts = Pick<ChunkHeader, "vertexCount" | "indexCount" | "vertexBytes" | "indexBytes" | "levelTriangles">;
+type Counts = Pick<ChunkHeader, "vertexCount" | "indexCount" | "vertexBytes" | "indexBytes" | "valueBytes" | "levelTriangles">;
 
-function readCounts(view: DataView, kind: ChunkHeader["kind"], coding: ChunkHeader["coding"]): Counts {
+function readCounts(view: DataView, kind: ChunkHeader["kind"], coding: ChunkHeader["coding"], hasValues: boolean): Counts {
   const u32 = (offset: number) => view.getUint32(offset, true);
   const vertexCount = u32(56);
   const indexCount = u32(60);
@@ -144,9 +149,10 @@ function readCounts(view: DataView, kind: ChunkHeader["kind"], coding: ChunkHead
   check(indexCount <= MAX_INDICES, `${indexCount} indices, expected at most ${MAX_INDICES} in a region`);
   check(indexCount % 3 === 0, `${indexCount} indices, expected a multiple of 3`);
   check((vertexCount === 0) === (indexCount === 0), `${vertexCount} vertices with ${indexCount} indices`);
+  const valueBytes = view.byteLength - HEADER_BYTES - vertexBytes - indexBytes;
   check(
-    HEADER_BYTES + vertexBytes + indexBytes === view.byteLength,
-    `header ${HEADER_BYTES} + vertices ${vertexBytes} + indices ${indexBytes} bytes, the frame has ${view.byteLength}`,
+    hasValues && vertexCount > 0 ? valueBytes > 8 : valueBytes === 0,
+    `header ${HEADER_BYTES} + vertices ${vertexBytes} + indices ${indexBytes} bytes${hasValues ? " and values" : ""}, the frame has ${view.byteLength}`,
   );
   const hasIndices = vertexCount > 0 && coding === "meshopt";
   const isWhole = vertexBytes > 0 === vertexCount > 0 && indexBytes > 0 === hasIndices;
@@ -155,5 +161,5 @@ function readCounts(view: DataView, kind: ChunkHeader["kind"], coding: ChunkHead
   const levelTriangles = Array.from({ length: LEVELS }, (_, level) => u32(72 + 4 * level));
   const triangles = levelTriangles.reduce((sum, n) => sum + n, 0);
   check(triangles === indexCount / 3, `levels add up to ${triangles} triangles, expected ${indexCount / 3}`);
-  return { vertexCount, indexCount, vertexBytes, indexBytes, levelTriangles };
+  return { vertexCount, indexCount, vertexBytes, indexBytes, valueBytes, levelTriangles };
 }

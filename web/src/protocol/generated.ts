@@ -222,6 +222,11 @@ export type Edit = {
   feature?: string,
   /** Feature values that become 0 and 1, in the feature's units; the feature's own range when never given. */
   featureRange?: [number, number],
+  /**
+   * Field whose values at the vertices are sent for colours, or an expression over fields; null: none. It changes no triangle. The field
+   * of `feature` needs no such values: chunks have it already.
+   */
+  colorField?: string | null,
   /** Weight of the feature against smoothness, 0 to 1. */
   alpha?: number,
   /**

@@ -186,6 +186,7 @@ export class RegionPipeline {
     const data = {
       vertices: chunk.vertices,
       indices: chunk.indices,
+      values: chunk.values,
       levelTriangles: header.levelTriangles,
       corner: [a * REGION_CELLS, b * REGION_CELLS, c * REGION_CELLS] as const,
       lattice: header.lattice,

@@ -71,9 +71,11 @@ export interface ColorTables {
   readonly levels: readonly string[];
 }
 
-/** Colours of the vertices' feature in colour mode `field`. */
+/** Colours of the vertices' feature, or of a field's values at them, in colour mode `field`. */
 export interface FieldColors {
-  /** Values at which the feature is 0 and 1. */
+  /** Whether meshes have values of the field. */
+  readonly ofValues: boolean;
+  /** Values at which the feature is 0 and 1, if it is the feature's. */
   readonly known: readonly [number, number];
   /** Values of the first and the last colour. */
   readonly range: readonly [number, number];
@@ -83,7 +85,8 @@ export interface FieldColors {
 }
 
 /** As the shaders need them. */
-function scaleOf({ known: [from, to], range: [low, high], log }: FieldColors): Vector4 {
+function scaleOf({ ofValues, known, range: [low, high], log }: FieldColors): Vector4 {
+  const [from, to] = ofValues ? [0, 1] : known;
   if (log) return new Vector4(from, to - from, Math.log2(low), 1 / Math.log2(high / low));
   return new Vector4((to - from) / (high - low), (from - low) / (high - low), 0, 0);
 }
@@ -106,6 +109,7 @@ export class SurfaceMaterials {
   private hasRegions = false;
   private readonly scale: IUniform<Vector4> = { value: new Vector4(1, 0, 0, 0) };
   private isLog = false;
+  private ofValues = false;
   private readonly isolines: IUniform<Float32Array> = { value: new Float32Array(MAX_ISOLINES) };
   private readonly isolineCount: IUniform<number> = { value: 0 };
 
@@ -141,10 +145,11 @@ export class SurfaceMaterials {
     const regions = this.hasRegions && colorMode === "transfer";
     const { source } = this;
     const isolines = colorMode === "field" && this.isolineCount.value > 0;
-    const kind = colored ? [material, source, flat, colorMode === "level", regions, isolines] : [];
+    const ofValues = colorMode === "field" && this.ofValues;
+    const kind = colored ? [material, source, flat, colorMode === "level", regions, isolines, ofValues] : [];
     return this.cached([pass, this.planes, ...kind].join(), () => {
       if (!colored) return this.mask(pass);
-      const variant = { shading: SHADINGS[material], source, flat, peel: pass === "peel", regions, isolines } as const;
+      const variant = { shading: SHADINGS[material], source, ofValues, flat, peel: pass === "peel", regions, isolines } as const;
       if (colorMode !== "level") return this.colored(variant, this.tint);
       return this.levels.map((color) => this.colored(variant, { value: new Color(color) }));
     });
@@ -195,6 +200,7 @@ export class SurfaceMaterials {
   set field(colors: FieldColors) {
     this.scale.value.copy(scaleOf(colors));
     this.isLog = colors.log;
+    this.ofValues = colors.ofValues;
     const lines = colors.lines.slice(0, MAX_ISOLINES);
     this.isolines.value.set(lines);
     this.isolineCount.value = lines.length;
@@ -223,6 +229,10 @@ export class SurfaceMaterials {
     const flags = variant.peel ? {} : { polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 1 };
     const material = this.make(surfaceFragment(variant), uniforms, { side: DoubleSide, ...flags });
     if (variant.regions) material.defines["REGIONS"] = "";
+    if (variant.ofValues) {
+      material.defines["FIELD_VALUES"] = "";
+      Object.assign(material.defaultAttributeValues, { fieldValue: [NO_VALUE] });
+    }
     if (variant.source === "value") {
       material.defines["VALUE"] = "";
       Object.assign(material.defaultAttributeValues, { value: [NO_VALUE] });

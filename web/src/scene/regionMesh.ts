@@ -13,6 +13,7 @@ import {
 } from "three";
 import type { Uneven } from "../world/uneven";
 import { inEvenCoordinates, type Mesher } from "./unevenMesh";
+import { NO_VALUE } from "./shaders";
 import type { Vec3 } from "./world";
 
 /** A region mesh as typed arrays; `upload` takes ownership of them. */
@@ -24,6 +25,8 @@ export interface RegionMeshData {
   readonly vertices: Int16Array<ArrayBuffer>;
   /** Three per triangle, triangles ordered by level, finest first. */
   readonly indices: Uint16Array<ArrayBuffer> | Uint32Array<ArrayBuffer>;
+  /** The value of a field at each vertex, NaN if it is missing. */
+  readonly values?: Float32Array<ArrayBuffer> | undefined;
   /** Triangles of each level, finest first. */
   readonly levelTriangles: readonly number[];
   /** Index coordinates of position 0. */
@@ -51,6 +54,16 @@ function spanOf(words: Int16Array): readonly [number, number] {
   return [low / 65535, high / 65535];
 }
 
+/** Of the values that there are; the others become `NO_VALUE`, as a shader cannot test for NaN. */
+function valueSpanOf(values: Float32Array): readonly [number, number] | undefined {
+  let [low, high] = [Infinity, -Infinity];
+  values.forEach((value, i) => {
+    if (Number.isNaN(value)) values[i] = NO_VALUE;
+    else [low, high] = [Math.min(low, value), Math.max(high, value)];
+  });
+  return low <= high ? [low, high] : undefined;
+}
+
 export class RegionMesh {
   readonly levelTriangles: readonly number[];
   readonly bounds: RegionMeshData["bounds"];
@@ -58,6 +71,8 @@ export class RegionMesh {
   readonly vertexCount: number;
   /** The minimum and the maximum of the feature of its vertices, 0 to 1. */
   readonly featureSpan: readonly [number, number];
+  /** The minimum and the maximum of the field's values; `undefined` if there are none. */
+  readonly valueSpan: readonly [number, number] | undefined;
   readonly bytes: number;
   private readonly geometry: BufferGeometry;
   private readonly mesh: Mesh;
@@ -72,7 +87,8 @@ export class RegionMesh {
     this.surface = data.surface;
     this.vertexCount = data.vertices.length / WORDS_PER_VERTEX;
     this.featureSpan = spanOf(data.vertices);
-    this.bytes = data.vertices.byteLength + data.indices.byteLength + (moved?.positions.byteLength ?? 0);
+    this.valueSpan = data.values && valueSpanOf(data.values);
+    this.bytes = data.vertices.byteLength + data.indices.byteLength + (data.values?.byteLength ?? 0) + (moved?.positions.byteLength ?? 0);
 
     const words = new InterleavedBuffer(data.vertices, WORDS_PER_VERTEX);
     // Free the host's copy; after a lost context the server sends the mesh again.
@@ -83,6 +99,7 @@ export class RegionMesh {
     geometry.setAttribute("position", moved === undefined ? new InterleavedBufferAttribute(words, 3, 0, false) : new BufferAttribute(moved.positions, 3));
     geometry.setAttribute("packedNormal", new InterleavedBufferAttribute(words, 1, 3, false));
     geometry.setAttribute("features", new InterleavedBufferAttribute(words, 2, 4, false));
+    if (data.values !== undefined) geometry.setAttribute("fieldValue", new BufferAttribute(data.values, 1));
     geometry.setIndex(new BufferAttribute(data.indices, 1));
     let start = 0;
     data.levelTriangles.forEach((triangles, level) => {

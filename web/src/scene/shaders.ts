@@ -10,6 +10,8 @@ export interface ProgramVariant {
   readonly flat: boolean;
   /** Draws the nearest fragments behind those of the layer before, translucent. */
   readonly peel: boolean;
+  /** Colours on a scale are of a field's values, and not of the feature. */
+  readonly ofValues: boolean;
   /** Regions have colours of their own. */
   readonly regions: boolean;
   /** There are isolines; only if colours are on a scale. */
@@ -31,6 +33,10 @@ in float packedNormal; // two signed bytes, octahedral, x low
 in vec2 features;      // s and normalised feature, over 65535
 uniform vec2 valueRange;
 in float value;
+#ifdef FIELD_VALUES
+in float fieldValue;
+out float missing;     // 1 if the field has no value
+#endif
 out vec3 viewNormal;
 out vec3 viewPosition;
 out float shown;       // what is looked up in the table
@@ -59,6 +65,9 @@ void main() {
   viewNormal = normalize(mat3(viewMatrix) * (normalScale * (worldFromGrid * unpackNormal(unsignedWords(vec2(packedNormal)).x))));
 #ifdef VALUE
   shown = value < ${0.5 * NO_VALUE} ? -1.0 : max((value - valueRange.x) / (valueRange.y - valueRange.x), 0.0);
+#elif defined(FIELD_VALUES)
+  missing = fieldValue < ${0.5 * NO_VALUE} ? 1.0 : 0.0;
+  shown = missing > 0.5 ? 0.0 : fieldValue;
 #else
   vec2 sf = unsignedWords(features) / 65535.0;
   shown = (1.0 - alpha) * sf.x + alpha * sf.y;
@@ -89,7 +98,7 @@ vec3 toSrgb(vec3 light) {
 `;
 
 /** Fragments of a surface. The table holds linear light and is fetched without a filter: a filtered fetch from sRGB costs as much as the whole lighting. */
-export function surfaceFragment({ shading, source, flat, peel, regions, isolines }: ProgramVariant): string {
+export function surfaceFragment({ shading, source, ofValues, flat, peel, regions, isolines }: ProgramVariant): string {
   const isScaled = source === "scale" || source === "logScale";
   return /* glsl */ `
 uniform highp sampler2D colors; // linear light over what is looked up
@@ -100,6 +109,7 @@ ${isolines ? `uniform float isolines[${MAX_ISOLINES}];\nuniform int isolineCount
 in vec3 viewNormal;
 in vec3 viewPosition;
 in float shown;
+${ofValues ? "in float missing;" : ""}
 ${regions ? "uniform highp sampler2D regions;\nin vec3 worldPosition;" : ""}
 out vec4 color;
 ${CLIPPED}
@@ -112,6 +122,7 @@ void main() {
   ${source === "tint" ? "vec3 base = tint;" : LOOK_UP}
   ${source === "logScale" ? "if (value <= 0.0) base = vec3(0.3);" : ""}
   ${isolines ? ISOLINES : ""}
+  ${ofValues ? "if (missing > 0.001) base = vec3(0.3);" : ""}
   ${regions ? IN_REGIONS : ""}
   ${source === "value" ? "if (shown < -0.5) base = vec3(0.3);" : ""}
   vec3 v = isOrthographic ? vec3(0.0, 0.0, 1.0) : normalize(-viewPosition);

@@ -33,8 +33,8 @@ export class SurfaceColors {
     this.onChange();
   }
 
-  /** The minimum and the maximum of the feature on a surface that is shown, 0 to 1; `undefined` if it has no vertices. */
-  featureSpan(surface: number): readonly [number, number] | undefined {
-    return this.surfaces.featureSpan(surface);
+  /** The minimum and the maximum on a surface that is shown, of the feature, 0 to 1, or of the field's values; `undefined` if it has none. */
+  span(surface: number, of: "feature" | "values"): readonly [number, number] | undefined {
+    return this.surfaces.span(surface, of);
   }
 }

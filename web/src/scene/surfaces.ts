@@ -144,9 +144,13 @@ export class Surfaces {
     this.applyDisplayToAll();
   }
 
-  /** The minimum and the maximum of the feature of a surface's vertices, 0 to 1; `undefined` if it has none. */
-  featureSpan(surface: number): readonly [number, number] | undefined {
-    const spans = [...this.shown.values()].filter((mesh) => mesh.surface === surface && mesh.vertexCount > 0).map(({ featureSpan }) => featureSpan);
+  /**
+   * The minimum and the maximum over a surface's vertices: of the feature, 0 to 1, or of the values of the field that they have; `undefined`
+   * if there are none.
+   */
+  span(surface: number, of: "feature" | "values"): readonly [number, number] | undefined {
+    const meshes = [...this.shown.values()].filter((mesh) => mesh.surface === surface && mesh.vertexCount > 0);
+    const spans = meshes.flatMap(({ featureSpan, valueSpan }) => (of === "feature" ? [featureSpan] : valueSpan === undefined ? [] : [valueSpan]));
     if (spans.length === 0) return undefined;
     return spans.reduce(([low, high], [from, to]) => [Math.min(low, from), Math.max(high, to)]);
   }

@@ -20,6 +20,7 @@ export function commandLine(volume: string, step: number, view: View, statistics
     ["--step", step === 0 ? undefined : String(step)],
     ["--mask", view.mask ?? undefined],
     ...featureOptions(view),
+    ["--field-values", view.colorField ?? undefined],
     ...criterionOptions(view, statistics),
     ...detailOptions(view, camera),
     ["--min-part", (view.minPart ?? 0) > 0 ? digits(view.minPart ?? 0) : undefined],

@@ -36,6 +36,7 @@ function editParts(edit: Edit, view: View): readonly Part[] {
     ["feature", edit.feature],
     // Always that of another feature, though it be the same.
     ["range", range && list(range)],
+    ["colorField", edit.colorField ?? undefined],
     ["alpha", number(edit.alpha)],
     ["beta", number(edit.beta)],
     ["error", distance(edit.error)],
@@ -93,6 +94,7 @@ function readEdit(read: Reader): Edit {
     mask: read.text("mask"),
     feature: read.text("feature"),
     featureRange: read.numbers("range", 2),
+    colorField: read.text("colorField"),
     alpha: read.number("alpha"),
     beta: read.number("beta"),
     error: read.distance("error"),

@@ -88,8 +88,10 @@ function changedWork(state: State, work: Work, event: WorkEvent): Work {
   switch (event.type) {
     case "edit": {
       const { edit } = event;
-      const isOther = edit.feature !== undefined && edit.feature !== surfaceOf(state)?.view.feature && look.colorRange !== undefined;
+      const view = surfaceOf(state)?.view;
+      const { feature = view?.feature, colorField = view?.colorField } = edit;
       // A range of colours is one of the field's values.
+      const isOther = (colorField ?? feature) !== (view?.colorField ?? view?.feature) && look.colorRange !== undefined;
       return { ...work, surfaces: edited(surfaces, selected, edit), look: isOther ? { ...look, colorRange: undefined } : look };
     }
     case "look":

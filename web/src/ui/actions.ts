@@ -43,8 +43,8 @@ export interface Actions {
   readonly home: () => void;
   readonly lookFrom: (axis: AxisName) => void;
   readonly facing: (normal: Vec3) => Vec3;
-  /** The minimum and the maximum of a surface's feature at its vertices, from 0 to 1. */
-  readonly featureSpan: (number: number) => readonly [number, number] | undefined;
+  /** The minimum and the maximum at a surface's vertices, of its feature, from 0 to 1, or of the values of the field for its colours. */
+  readonly colorSpan: (number: number, of: "feature" | "values") => readonly [number, number] | undefined;
   readonly retry: () => void;
   /** `undefined`: no longer. */
   readonly compare: (what: Compared | undefined) => void;

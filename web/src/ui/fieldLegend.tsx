@@ -20,11 +20,11 @@ const NEAREST = 0.01;
 const GESTURE = "color-range";
 
 function useFieldScale() {
-  const { look, selected, surfaces, viewer } = useModel();
+  const { look, selected, surfaces, viewer, volume } = useModel();
   const view = () => coloredByLook(withRanges(viewer(), surfaces()), selected()?.number ?? 0)?.view;
   const scale = () => {
     const of = view();
-    return of && fieldScaleOf(look(), of);
+    return of && fieldScaleOf(look(), of, volume());
   };
   return { view, scale };
 }

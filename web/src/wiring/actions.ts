@@ -57,7 +57,7 @@ export function stateActions(store: Store, act: (event: UserEvent) => void): Pic
   };
 }
 
-type OtherNames = "fit" | "home" | "lookFrom" | "facing" | "featureSpan" | "address" | "copyLink" | "copyCommand" | "downloadAll" | "download";
+type OtherNames = "fit" | "home" | "lookFrom" | "facing" | "colorSpan" | "address" | "copyLink" | "copyCommand" | "downloadAll" | "download";
 
 /** @param address that of the state that is shown */
 export function otherActions(parts: () => Parts, address: () => string): Pick<Actions, OtherNames> {
@@ -65,7 +65,7 @@ export function otherActions(parts: () => Parts, address: () => string): Pick<Ac
     fit: () => parts().framing.fit(),
     home: () => parts().framing.home(),
     lookFrom: (axis) => parts().framing.lookFrom(axis),
-    featureSpan: (number) => parts().framing.featureSpan(number),
+    colorSpan: (number, of) => parts().framing.colorSpan(number, of),
     facing: (normal) => parts().framing.facing(normal),
     address,
     copyLink: () => void copyOut(parts().model, address(), "Link copied"),

@@ -41,7 +41,7 @@ export function colorBarOf(
   const { colorBy, map } = look;
   if (colorBy === "error") return distances && distanceBar(distances, unit);
   if (colorBy === "field") {
-    const scale = view && fieldScaleOf(look, view);
+    const scale = view && fieldScaleOf(look, view, volume);
     return view && scale && { ...fieldBarOf(scale, view, volume), stops: COLOR_MAPS[map] };
   }
   const points = view?.transferFunction.points;
@@ -120,7 +120,7 @@ export class Display {
     const isRecolored = look.colorBy !== before?.colorBy || look.map !== before.map || isRescaled(look, before) || distances?.upper !== this.distances?.upper;
     [this.wanted, this.look, this.distances] = [wanted, look, distances];
     const legend = coloredByLook(surfaces, selected)?.view;
-    for (const surface of surfaces) this.showSurface(look, surface, isRecolored, legend);
+    for (const surface of surfaces) this.showSurface(look, surface, isRecolored, legend, source.volume);
     this.hideOthers(surfaces);
     if (distances !== undefined && isRecolored) this.scene.colors.setValueColors(0, distances.upper, colorTable(DISTANCE_COLORS));
     this.showColorBar(look, legend, source.volume, isRecolored);
@@ -160,12 +160,12 @@ export class Display {
     return wanted.colorBy === "error" && !isMeasured ? { ...wanted, colorBy: this.otherColors } : wanted;
   }
 
-  private showSurface(look: Look, surface: Surface, isRecolored: boolean, legend: View | undefined): void {
+  private showSurface(look: Look, surface: Surface, isRecolored: boolean, legend: View | undefined, volume: VolumeInfo | undefined): void {
     const { number, view, style } = surface;
     const before = this.shown.get(number);
     this.shown.set(number, surface);
     const { points } = view.transferFunction;
-    const field = fieldScaleOf(look, view, legend);
+    const field = fieldScaleOf(look, view, volume, legend);
     if (look.colorBy === "field" && field !== undefined) this.showField(number, field);
     const isChanged = points !== before?.view.transferFunction.points || view.interest !== before.view.interest;
     if (isRecolored || isChanged) this.scene.colors.setTransfer(tableOf(look, points), number, regionsOf(look, view.interest));
@@ -191,7 +191,7 @@ export class Display {
   }
 
   private showColorBar(look: Look, view: View | undefined, volume: VolumeInfo | undefined, isRecolored: boolean): void {
-    const decides = view && [view.transferFunction.points, view.feature, view.featureRange, volume?.id];
+    const decides = view && [view.transferFunction.points, view.feature, view.featureRange, view.colorField, volume?.id];
     if (!isRecolored && decides?.length === this.bar?.length && (decides ?? []).every((value, i) => value === this.bar?.[i])) return;
     this.bar = decides;
     // The editor, if there is one, shows its own colours, and the page has a list of the levels and a legend of the field.

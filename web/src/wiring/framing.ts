@@ -53,8 +53,8 @@ export class Framing {
     this.move(() => this.scene.view(axis));
   }
 
-  featureSpan(number: number): readonly [number, number] | undefined {
-    return this.scene.colors.featureSpan(number);
+  colorSpan(number: number, of: "feature" | "values"): readonly [number, number] | undefined {
+    return this.scene.colors.span(number, of);
   }
 
   /** The normal, or its opposite, whichever points towards the camera. */

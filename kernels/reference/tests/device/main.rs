@@ -19,6 +19,7 @@ mod histogram;
 mod host_pyramid;
 mod host_tree;
 mod interest;
+mod interpolate;
 mod march;
 mod mask;
 mod minmax;

@@ -1,7 +1,9 @@
 use isopeel_kernels::{Region, RegionKey, Vertex};
 use proptest::prelude::*;
 
-use super::super::chunk::{ChunkHeader, ChunkKind, Coding, HEADER_BYTES, PrefixId, WireVertex, decode_errors};
+use super::super::chunk::{
+    ChunkHeader, ChunkKind, Coding, HEADER_BYTES, PrefixId, WireVertex, decode_errors, without_values,
+};
 use super::super::decode::decode;
 use super::super::predictive;
 use super::{MeshHash, encode, encode_errors, encode_gone};
@@ -25,6 +27,7 @@ fn small_region() -> Region {
             .to_vec()
             .into(),
         indices: vec![0, 1, 2, 2, 1, 3].into(),
+        values: Vec::new().into(),
         level_triangles: [1, 0, 0, 1, 0, 0],
         error: None,
     }
@@ -343,11 +346,90 @@ prop_compose! {
             coords: coords.map(|c| u32::from(c) << size),
             size,
             vertices: vertices.into(),
+            values: Vec::new().into(),
             level_triangles: [fine, 0, triangles.len() as u32 - fine, 0, 0, 0],
             indices: triangles.into_iter().flatten().collect::<Vec<_>>().into(),
             error: None,
         }
     }
+}
+
+/// A wavy sheet of `n`² squares.
+fn sheet(n: u32) -> Region {
+    let unit = Vertex::LATTICE;
+    let at = |i: u32| [i % (n + 1), i / (n + 1), i * i % 5].map(|x| x as i32 * unit);
+    let squares = (0..n * n).map(|i| i % n + (n + 1) * (i / n));
+    let indices = squares.flat_map(|i| [i, i + 1, i + n + 1, i + n + 1, i + 1, i + n + 2]);
+    Region {
+        vertices: (0..(n + 1) * (n + 1)).map(|i| vertex(at(i))).collect::<Vec<_>>().into(),
+        indices: indices.collect::<Vec<_>>().into(),
+        level_triangles: [2 * n * n, 0, 0, 0, 0, 0],
+        ..Region::default()
+    }
+}
+
+/// Bits of position and value of each vertex, sorted.
+fn placed(positions: impl Iterator<Item = [i16; 3]>, values: &[f32]) -> Vec<([i16; 3], u32)> {
+    let mut placed: Vec<_> = positions.zip(values.iter().map(|value| value.to_bits())).collect();
+    placed.sort_unstable();
+    placed
+}
+
+#[test]
+fn values_follow_their_vertices_in_both_codings() {
+    let plain = sheet(20);
+    let count = plain.vertices.len();
+    // Whole numbers are exact.
+    let mut values: Vec<f32> = (0..count).map(|i| (i * 7 % 60_000) as f32 - 500.0).collect();
+    values[count / 2] = f32::NAN;
+    let region = Region {
+        values: values.clone().into(),
+        ..plain.clone()
+    };
+    let (id, key) = (PrefixId::cut(1, 2, 3), region.key());
+    let (with, without) = (
+        encode(&region, id).expect("valid region"),
+        encode(&plain, id).expect("valid region"),
+    );
+    let decoded = decode(&with).expect("decodes");
+    let bare = decode(&without).expect("decodes");
+    assert_eq!((&decoded.vertices, &decoded.indices), (&bare.vertices, &bare.indices));
+    assert_eq!((decoded.header.region, bare.values.len()), (key, 0));
+    let positions = |vertices: &[WireVertex]| vertices.iter().map(|vertex| vertex.position).collect::<Vec<_>>();
+    let used: std::collections::BTreeSet<u32> = region.indices.iter().copied().collect();
+    let own = used
+        .iter()
+        .map(|&index| WireVertex::quantise(&region.vertices[index as usize]).position);
+    let own_values: Vec<f32> = used.iter().map(|&index| values[index as usize]).collect();
+    let expected = placed(own, &own_values);
+    assert_eq!(
+        placed(positions(&decoded.vertices).into_iter(), &decoded.values),
+        expected
+    );
+
+    let predictive = predictive::encode(&with).expect("encodes");
+    let coded = decode(&predictive).expect("decodes");
+    assert_eq!(coded.header.coding, Coding::Predictive);
+    assert_eq!(placed(positions(&coded.vertices).into_iter(), &coded.values), expected);
+
+    assert_eq!(without_values(&with), without);
+    assert_eq!(without_values(&without), without);
+    let bare_predictive = predictive::encode(&without).expect("encodes");
+    assert_eq!(without_values(&predictive), bare_predictive);
+    assert_ne!(MeshHash::of(&region), MeshHash::of(&plain));
+    for length in HEADER_BYTES..with.len() {
+        assert!(decode(&with[..length]).is_err(), "{length} bytes");
+    }
+}
+
+#[test]
+fn values_that_do_not_fit_the_vertices_are_refused() {
+    let region = Region {
+        values: vec![1.0; 3].into(),
+        ..small_region()
+    };
+    let error = encode(&region, PrefixId::cut(0, 0, 0)).expect_err("refused");
+    assert_eq!(error.why, "3 values of 4 vertices");
 }
 
 proptest! {

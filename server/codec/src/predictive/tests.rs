@@ -58,6 +58,7 @@ fn region(vertices: Vec<Vertex>, levels: &[Vec<u32>]) -> Region {
         size: 0,
         vertices: vertices.into(),
         indices: levels.concat().into(),
+        values: Vec::new().into(),
         level_triangles,
         error: None,
     }

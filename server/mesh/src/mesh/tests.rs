@@ -40,6 +40,7 @@ pub fn two_quads() -> Surface {
             .to_vec()
             .into(),
         indices: vec![0, 1, 2, 0, 2, 3].into(),
+        values: Vec::new().into(),
         level_triangles,
         error: None,
     };

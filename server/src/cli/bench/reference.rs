@@ -200,6 +200,7 @@ mod tests {
                 size: 0,
                 vertices: vec![vertex(0, 0, 0), vertex(9, 0, 0), vertex(0, 9, 0), vertex(0, 0, 9)].into(),
                 indices: triangles.concat().into(),
+                values: Vec::new().into(),
                 level_triangles: [triangles.len() as u32, 0, 0, 0, 0, 0],
                 error: None,
             }],

@@ -13,8 +13,8 @@ use super::channel::ALIGNMENT;
 pub(super) struct RegionHead {
     coords: [u32; 3],
     size: u8,
-    /// Number of vertices and of indices.
-    lengths: [usize; 2],
+    /// Number of vertices, of indices and of values.
+    lengths: [usize; 3],
     level_triangles: [u32; 6],
     error: Option<SurfaceError>,
 }
@@ -44,19 +44,22 @@ pub(super) fn heads(regions: &[Region]) -> Vec<RegionHead> {
     let head = |region: &Region| RegionHead {
         coords: region.coords,
         size: region.size,
-        lengths: [region.vertices.len(), region.indices.len()],
+        lengths: [region.vertices.len(), region.indices.len(), region.values.len()],
         level_triangles: region.level_triangles,
         error: region.error,
     };
     regions.iter().map(head).collect()
 }
 
-/// Returns the arrays of regions: vertices and indices of each.
+/// Returns the arrays of regions: vertices and indices of each, and values, if it has any.
 pub(super) fn arrays(regions: &[Region]) -> Vec<&[u8]> {
-    let mut arrays = Vec::with_capacity(2 * regions.len());
+    let mut arrays = Vec::with_capacity(3 * regions.len());
     for region in regions {
         arrays.push(bytemuck::cast_slice(&region.vertices));
         arrays.push(bytemuck::cast_slice(&region.indices));
+        if !region.values.is_empty() {
+            arrays.push(bytemuck::cast_slice(&region.values));
+        }
     }
     arrays
 }
@@ -78,16 +81,24 @@ pub(super) fn join(heads: Vec<RegionHead>, arrays: &Bytes) -> Result<Vec<Region>
         .map(|head| {
             let vertices = next(head.lengths[0].checked_mul(size_of::<isopeel_kernels::Vertex>()))?;
             let indices = next(head.lengths[1].checked_mul(size_of::<u32>()))?;
-            Some((head, vertices, indices))
+            let values = match head.lengths[2] {
+                0 => None,
+                values => Some(next(values.checked_mul(size_of::<f32>()))?),
+            };
+            Some((head, vertices, indices, values))
         })
         .collect();
     let parts = parts.ok_or("the arrays of a surface are cut off")?;
-    let region = |(head, vertices, indices): (RegionHead, Bytes, Bytes)| {
+    let region = |(head, vertices, indices, values): (RegionHead, Bytes, Bytes, Option<Bytes>)| {
         let region = Region {
             coords: head.coords,
             size: head.size,
             vertices: SharedSlice::of_bytes(vertices).ok_or("an array is not aligned")?,
             indices: SharedSlice::of_bytes(indices).ok_or("an array is not aligned")?,
+            values: match values {
+                Some(values) => SharedSlice::of_bytes(values).ok_or("an array is not aligned")?,
+                None => SharedSlice::default(),
+            },
             level_triangles: head.level_triangles,
             error: head.error,
         };

@@ -1,7 +1,7 @@
 //! A session in a group: the member in control broadcasts its views, and the others follow.
 
 use data_encoding::HEXLOWER;
-use isopeel_codec::chunk::Coding;
+use isopeel_codec::chunk::{Coding, reads_values};
 
 use super::super::backend::Backend;
 use super::super::groups::{GroupError, GroupEvent, Leader, Scene};
@@ -24,7 +24,7 @@ impl<B: Backend> Session<B> {
         }
         match message {
             ClientMessage::Open { volume, step, codings } => {
-                self.coding = Coding::asked_for(&codings);
+                self.use_codings(&codings);
                 self.on_open(&volume, step);
             }
             ClientMessage::Step { step } => self.on_step(step),
@@ -73,8 +73,13 @@ impl<B: Backend> Session<B> {
     /// Chooses the coding from those that the client can read. If the client lists none, the coding stays as it was.
     fn choose_coding(&mut self, codings: &[String]) {
         if !codings.is_empty() {
-            self.coding = Coding::asked_for(codings);
+            self.use_codings(codings);
         }
+    }
+
+    fn use_codings(&mut self, codings: &[String]) {
+        self.coding = Coding::asked_for(codings);
+        self.reads_values = reads_values(codings);
     }
 
     fn refuse(&mut self, error: GroupError) {

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use axum::body::Bytes;
-use isopeel_codec::chunk::{ChunkKind, Coding};
+use isopeel_codec::chunk::{ChunkKind, Coding, without_values};
 use isopeel_extraction::dataset_views::opening_view;
 use isopeel_extraction::{FullCount, Measurement, Shown, Step, SurfaceKey, WorkError};
 use serde_json::value::RawValue;
@@ -229,6 +229,7 @@ impl<B: Backend> Session<B> {
 
     /// Handles a result of the pool for the step that is being sent. Results of a dropped step never arrive.
     pub(super) fn on_pool(&mut self, done: PoolDone) {
+        let reads_values = self.reads_values;
         let Some(generation) = self.sending() else { return };
         let (surface, mesher) = (generation.surface, generation.view.mesher);
         match done {
@@ -249,7 +250,10 @@ impl<B: Backend> Session<B> {
                 let frame = Outgoing::Text(message.to_json());
                 self.outbox.push_back(Frame::Prefix(surface, frame));
             }
-            PoolDone::Encoded(Ok(chunks)) => {
+            PoolDone::Encoded(Ok(mut chunks)) => {
+                if !reads_values {
+                    chunks = chunks.iter().map(without_values).collect();
+                }
                 if let Sending::Encoding { sent, batches, .. } = &mut generation.sending {
                     *batches -= 1;
                     sent.bytes += chunks.iter().map(|chunk| chunk.len() as u64).sum::<u64>();

@@ -39,7 +39,16 @@ impl OpenVolume {
     /// Whether the device has to resolve a view before the view may replace the one in force.
     pub(super) fn has_to_resolve(&self, surface: u8, view: &View) -> bool {
         let in_force = self.view_of(surface);
-        let inputs = |view: &View| (view.field.clone(), view.mask.clone(), view.feature.clone());
+        let inputs = |view: &View| {
+            let View {
+                field,
+                mask,
+                feature,
+                color_field,
+                ..
+            } = view.clone();
+            (field, mask, feature, color_field)
+        };
         view.iso.is_none() || view.feature_range.is_none() || inputs(view) != inputs(&in_force)
     }
 

@@ -176,8 +176,21 @@ fn region(found: &Chunk, expected: &Chunk) -> Option<String> {
             let is_same_place = positions(&of_found) == positions(&of_expected);
             return Some(if is_same_place { "attributes" } else { "geometry" }.to_owned());
         }
+        if values(found) != values(expected) {
+            return Some("values".to_owned());
+        }
     }
     (found.level_triangles != expected.level_triangles).then(|| "triangles of levels".to_owned())
+}
+
+/// The bits of the values of a field, each with the position of its vertex, in order; `None` if the chunk has none.
+fn values(chunk: &Chunk) -> Option<Vec<([i16; 3], u32)>> {
+    let at_vertices = chunk.vertices.iter().zip(chunk.values.as_ref()?);
+    let mut all: Vec<_> = at_vertices
+        .map(|(vertex, value)| (vertex.position, value.to_bits()))
+        .collect();
+    all.sort_unstable();
+    Some(all)
 }
 
 /// Position, and normal, smoothness and feature.

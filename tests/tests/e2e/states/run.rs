@@ -231,7 +231,9 @@ impl<'a> Run<'a> {
         let group = leader.group.clone().expect("a group");
         let mut follower = Seat::connect(self.address(), None).await;
         follower.is_follower = true;
-        follower.send(json!({"type": "join", "group": group})).await;
+        follower
+            .send(json!({"type": "join", "group": group, "codings": ["values"]}))
+            .await;
         self.followers.push(follower);
     }
 

@@ -176,7 +176,8 @@ impl Seat {
         self.is_open = false;
         self.is_cancelled = false;
         self.model.volume = volume.to_owned();
-        self.send(json!({"type": "open", "volume": volume, "step": step})).await;
+        self.send(json!({"type": "open", "volume": volume, "step": step, "codings": ["values"]}))
+            .await;
         let limit = Instant::now() + REST_LIMIT;
         while !self.is_open {
             assert!(

@@ -38,6 +38,12 @@ export function bestOther(volume: VolumeInfo, field: string): string | undefined
   return measured?.name ?? others.find((name) => !ofFields.some((known) => known.name === name)) ?? others[0];
 }
 
+/** The field by which a surface is coloured first: another measured one if there is one, then labels, then its own. */
+export function bestField({ fields }: VolumeInfo, shown: string): string {
+  const others = fields.filter(({ name }) => name !== shown);
+  return (others.find((known) => !hasLabels(known)) ?? others[0])?.name ?? shown;
+}
+
 /** Texts of what has no name from a file. */
 const LABELS: ReadonlyMap<string, string> = new Map([
   [NO_FEATURE, "None"],

@@ -7,7 +7,9 @@ import { formatValue } from "../format";
 import { featureInfo, label, NO_FEATURE } from "./features";
 
 export interface FieldScale {
-  /** Values at which the vertices' feature is 0 and 1: beyond them it is not known. */
+  /** Whether vertices have values of the field, instead of the feature alone. */
+  readonly ofValues: boolean;
+  /** Values at which the vertices' feature is 0 and 1: beyond them it is not known. Of values, the range of the field. */
   readonly known: readonly [number, number];
   /** Values of the first and the last colour. */
   readonly range: readonly [number, number];
@@ -20,19 +22,34 @@ export interface FieldScale {
 /** Decades that a logarithmic scale has if its range begins at 0 or below. */
 const DECADES = 3;
 
+/** The field or feature that the colours of mode `field` are of. */
+export const coloredField = ({ colorField, feature }: Pick<View, "colorField" | "feature">): string => colorField ?? feature;
+
+/** The range of the colours if none is chosen; `undefined` if it is not known, as that of an expression. */
+function ownColorRange(view: View, volume: VolumeInfo | undefined): readonly [number, number] | undefined {
+  if (view.colorField === null) return view.feature === NO_FEATURE ? undefined : view.featureRange;
+  const range = volume?.fields.find(({ name }) => name === view.colorField)?.range;
+  if (range === undefined) return undefined;
+  // A field that has one value everywhere.
+  return range[0] < range[1] ? range : [range[0], range[0] + Math.max(1, Math.abs(range[0]))];
+}
+
 /** How a surface's field is coloured; `undefined` if it has none, or its range is not known yet. @param legend the view whose field the legend shows */
-export function fieldScaleOf(look: Look, view: View, legend = view): FieldScale | undefined {
-  const { feature, featureRange } = view;
-  if (feature === NO_FEATURE || featureRange === undefined) return undefined;
-  const chosen = (feature === legend.feature ? look.colorRange : undefined) ?? featureRange;
+export function fieldScaleOf(look: Look, view: View, volume: VolumeInfo | undefined, legend = view): FieldScale | undefined {
+  const own = ownColorRange(view, volume);
+  const chosen = (coloredField(view) === coloredField(legend) && coloredField(view) !== NO_FEATURE ? look.colorRange : undefined) ?? own;
+  if (chosen === undefined) return undefined;
+  const ofValues = view.colorField !== null;
+  const known = own ?? (ofValues ? chosen : undefined);
+  if (known === undefined) return undefined;
   const log = look.logColors && chosen[1] > 0;
   const range = log && !(chosen[0] > 0) ? ([chosen[1] / 10 ** DECADES, chosen[1]] as const) : chosen;
-  return { known: featureRange, range, log, lines: isolinesOf(range, log, look.isolines) };
+  return { ofValues, known, range, log, lines: isolinesOf(range, log, look.isolines) };
 }
 
 /** Why the scale is not as it was asked for; `undefined` if it is. */
-export function logProblem(look: Look, view: View): "begins-above-0" | "linear" | undefined {
-  const [low, high] = look.colorRange ?? view.featureRange ?? [1, 2];
+export function logProblem(look: Look, view: View, volume: VolumeInfo | undefined): "begins-above-0" | "linear" | undefined {
+  const [low, high] = look.colorRange ?? ownColorRange(view, volume) ?? [1, 2];
   if (!look.logColors || low > 0) return undefined;
   return high > 0 ? "begins-above-0" : "linear";
 }
@@ -52,10 +69,11 @@ const STEPS = 65535 / 256;
 
 /**
  * Positions of isolines between the first colour and the last. The feature comes in steps, so whole triangles may have the same value. An
- * isoline at such a value is moved by a quarter of a step: else all of such a triangle would be line.
+ * isoline at such a value is moved by a quarter of a step: else all of such a triangle would be line. Values of a field need no such steps.
  */
 export function linePlaces(scale: FieldScale): readonly number[] {
-  const { known: [from, to], lines } = scale;
+  const { ofValues, known: [from, to], lines } = scale;
+  if (ofValues) return lines.map((value) => positionOf(scale, value));
   return lines.map((value) => {
     const step = ((value - from) / (to - from)) * STEPS;
     const near = Math.round(step);
@@ -74,8 +92,9 @@ export interface FieldBar {
 const NEAREST_TEXTS = 0.09;
 
 export function fieldBarOf(scale: FieldScale, view: View, volume: VolumeInfo | undefined): FieldBar {
-  const unit = volume && featureInfo(volume, view)?.unit;
-  const title = unit === null || unit === undefined ? label(view.feature) : `${label(view.feature)}, in ${unit}`;
+  const feature = coloredField(view);
+  const unit = volume && featureInfo(volume, view.colorField === null ? view : { field: "", feature })?.unit;
+  const title = unit === null || unit === undefined ? label(feature) : `${label(feature)}, in ${unit}`;
   const [low, high] = scale.range;
   if (scale.lines.length === 0) return { title, texts: [low, valueAt(scale, 0.5), high].map((value) => formatValue(value)), lines: [] };
   let last = 0;

@@ -10,14 +10,14 @@ import { Button } from "../widgets/button";
 import { Choice, Toggle } from "../widgets/choice";
 import { awaitedWords, distanceWords } from "../words";
 import type { Card } from "./card";
-import { NO_FEATURE } from "./features";
+import { bestField, NO_FEATURE } from "./features";
 import { Peel } from "./peel";
 
 const COLORS: readonly { readonly value: ColorBy; readonly text: string; readonly hint: string }[] = [
   { value: "material", text: "Material", hint: "Single colour" },
   { value: "transfer", text: "Transfer", hint: "The colours of the transfer function under Importance" },
   { value: "feature", text: "Input", hint: "The input of the transfer function: shape and field, blended" },
-  { value: "field", text: "Field", hint: "The field under Importance, in its units" },
+  { value: "field", text: "Field", hint: "A field in its units: that under Importance, or any other" },
   { value: "importance", text: "Importance", hint: "How much each part matters" },
   { value: "level", text: "Level", hint: "How large the cubes are that triangles stand for" },
   { value: "error", text: "Error", hint: "How far each vertex is from the isosurface, measured" },
@@ -34,20 +34,12 @@ const BACKGROUNDS: readonly { readonly value: Look["background"]; readonly text:
 const capitalised = (name: string) => `${name.charAt(0).toUpperCase()}${name.slice(1)}`;
 
 function Body() {
-  const { actions, look, onGpu, selected, surfaces, view, viewer } = useModel();
+  const { actions, look, onGpu, selected, surfaces } = useModel();
   const materials = MATERIALS.map((name) => ({ value: name, text: capitalised(name) }));
-  const isOffered = (by: ColorBy) => {
-    if (by === "error") return viewer().questions.includes("annotate");
-    return by !== "field" || (view()?.feature ?? NO_FEATURE) !== NO_FEATURE;
-  };
-  const colors = () => COLORS.filter(({ value }) => value === look().colorBy || isOffered(value));
   const mapped = () => ["feature", "field", "importance"].includes(look().colorBy);
   return (
     <>
-      <div class="control">
-        <span class="label">Colour by</span>
-        <Choice<ColorBy> label="Colour by" wide value={look().colorBy} options={colors()} onChange={(colorBy) => actions.changeLook({ colorBy })} />
-      </div>
+      <ColorChoice />
       <Show when={mapped()}>
         <Maps />
       </Show>
@@ -85,6 +77,30 @@ function Body() {
         <Choice<Look["background"]> label="Background" value={look().background} options={BACKGROUNDS} onChange={(background) => actions.changeLook({ background })} />
       </div>
     </>
+  );
+}
+
+/** What colours stand for. */
+function ColorChoice() {
+  const model = useModel();
+  const { actions, look, view, viewer, volume } = model;
+  const hasField = () => view()?.colorField !== null || (view()?.feature ?? NO_FEATURE) !== NO_FEATURE;
+  const isOffered = (by: ColorBy) => {
+    if (by === "error") return viewer().questions.includes("annotate");
+    return by !== "field" || hasField() || model.may("edit");
+  };
+  const choose = (colorBy: ColorBy) => {
+    const [of, shown] = [volume(), view()];
+    // Without a field under Importance there is none yet.
+    if (colorBy === "field" && !hasField() && of !== undefined && shown !== undefined) actions.edit({ colorField: bestField(of, shown.field) });
+    actions.changeLook({ colorBy });
+  };
+  const colors = () => COLORS.filter(({ value }) => value === look().colorBy || isOffered(value));
+  return (
+    <div class="control">
+      <span class="label">Colour by</span>
+      <Choice<ColorBy> label="Colour by" wide value={look().colorBy} options={colors()} onChange={choose} />
+    </div>
   );
 }
 

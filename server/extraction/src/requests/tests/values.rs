@@ -199,6 +199,7 @@ fn region() -> Region {
         size: 1,
         vertices: vec![vertex(-1), vertex(70_000), vertex(5)].into(),
         indices: vec![0, 1, 2, 2, 1, 0].into(),
+        values: Vec::new().into(),
         level_triangles: [1, 0, 0, 1, 0, 0],
         error: Some(SurfaceError { rms: 0.5, max: 1.5 }),
     }

@@ -193,6 +193,7 @@ fn region(x: u32, shape: i32) -> Region {
             .to_vec()
             .into(),
         indices: vec![0, 1, 2].into(),
+        values: Vec::new().into(),
         level_triangles: [1, 0, 0, 0, 0, 0],
         error: None,
     }

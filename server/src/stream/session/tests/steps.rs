@@ -155,6 +155,7 @@ async fn what_is_shown_decides_how_an_edit_begins() {
         (r#"{"type":"edit","iso":5}"#, Shown::Another),
         (r#"{"type":"edit","feature":"none"}"#, Shown::Alike),
         (r#"{"type":"edit","featureRange":[3,4]}"#, Shown::Alike),
+        (r#"{"type":"edit","colorField":"density"}"#, Shown::Alike),
         (r#"{"type":"edit","mesher":"marching-cubes"}"#, Shown::Alike),
         (r#"{"type":"edit","triangles":7}"#, Shown::Cut(CutId::new(2))),
     ] {

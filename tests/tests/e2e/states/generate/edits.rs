@@ -42,7 +42,7 @@ impl Generator<'_> {
             changes.extend(["mask"; 3]);
         }
         if !volume.fields.is_empty() {
-            changes.push("field");
+            changes.extend(["field", "colorField", "colorField"]);
         }
         self.random.shuffle(&mut changes);
         let count = self.choose(&[1, 1, 1, 2, 3]);
@@ -71,6 +71,10 @@ impl Generator<'_> {
             "mask" => match self.percent(30) {
                 true => Value::Null,
                 false => json!(self.choose(volume.masks)),
+            },
+            "colorField" => match self.percent(30) {
+                true => Value::Null,
+                false => json!(self.choose(volume.fields)),
             },
             "criterion" => return self.add_criterion(is_marched, edit),
             "guards" => return self.add_guards(edit),
