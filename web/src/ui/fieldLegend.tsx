@@ -1,10 +1,13 @@
 /** The legend of a field's colours over the picture, whose two ends are dragged, moved by keys or typed. Loaded when it is first shown. */
 
-import { For, Show } from "solid-js";
+import { createEffect, For, Show } from "solid-js";
 import { COLOR_MAPS } from "../colors/maps";
+import type { View } from "../protocol/types";
+import { isExpression } from "../state/expressions";
 import { withRanges } from "../state/featureRanges";
 import { coloredByLook } from "../state/surfaceList";
 import { fieldBarOf, fieldScaleOf, valueAt, type FieldScale } from "./cards/fieldColors";
+import { useDescribed } from "./expressions";
 import { digitsBetween, formatValue } from "./format";
 import { useModel } from "./model";
 import { Button } from "./widgets/button";
@@ -29,9 +32,26 @@ function useFieldScale() {
   return { view, scale };
 }
 
+/** Sets the range of an expression's colours if there is none: a link that was written by hand names none. */
+function useRangeOfExpression(view: () => View | undefined) {
+  const { actions, look, volume } = useModel();
+  const expression = () => {
+    const [of, name] = [volume(), view()?.colorField];
+    return of !== undefined && typeof name === "string" && isExpression(of, name) ? name : undefined;
+  };
+  const described = useDescribed(expression);
+  createEffect(() => {
+    const known = described();
+    if (known?.info === undefined || known.text !== expression() || look().colorRange !== undefined) return;
+    const [low, high] = known.info.range;
+    if (low < high) actions.changeLook({ colorRange: [low, high] });
+  });
+}
+
 export default function FieldLegend() {
   const { actions, look, volume } = useModel();
   const { view, scale } = useFieldScale();
+  useRangeOfExpression(view);
   const bar = () => {
     const [of, on] = [view(), scale()];
     return of && on && { scale: on, ...fieldBarOf(on, of, volume()) };

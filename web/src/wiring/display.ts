@@ -165,13 +165,20 @@ export class Display {
     const before = this.shown.get(number);
     this.shown.set(number, surface);
     const { points } = view.transferFunction;
-    const field = fieldScaleOf(look, view, volume, legend);
+    const field = fieldScaleOf(look, view, volume, legend) ?? this.scaleOfSurface(number, look, view);
     if (look.colorBy === "field" && field !== undefined) this.showField(number, field);
     const isChanged = points !== before?.view.transferFunction.points || view.interest !== before.view.interest;
     if (isRecolored || isChanged) this.scene.colors.setTransfer(tableOf(look, points), number, regionsOf(look, view.interest));
     if (style !== before?.style) this.scene.setSurfaceStyle(number, style);
     // The field alone, whatever its weight against the shape.
     this.scene.colors.setAlpha(look.colorBy === "field" ? 1 : view.alpha, number);
+  }
+
+  /** The values on the surface as the range of an expression whose range is not known. */
+  private scaleOfSurface(number: number, look: Look, view: View): FieldScale | undefined {
+    if (look.colorBy !== "field" || view.colorField === null) return undefined;
+    const range = this.scene.colors.span(number, "values");
+    return range && range[0] < range[1] ? { ofValues: true, known: range, range, log: false, lines: [] } : undefined;
   }
 
   private showField(number: number, scale: FieldScale): void {

@@ -1,6 +1,6 @@
 /** What the colours of a field stand for: the ends of their range, a logarithmic scale, isolines. */
 
-import { createEffect, createSignal, Show } from "solid-js";
+import { createSignal, Show } from "solid-js";
 import type { FieldInfo } from "../../protocol/types";
 import { isExpression } from "../../state/expressions";
 import { MAX_ISOLINES } from "../../state/look";
@@ -57,17 +57,12 @@ const OF_IMPORTANCE = "";
 /** Which field the colours of the selected surface are of. It changes no triangle. */
 function Fields() {
   const model = useModel();
-  const { actions, look, view, volume } = model;
+  const { actions, view, volume } = model;
   const [editing, setEditing] = createSignal(false);
   const expression = () => {
     const [of, name] = [volume(), view()?.colorField];
     return of !== undefined && typeof name === "string" && isExpression(of, name) ? name : undefined;
   };
-  const described = useDescribed(expression);
-  createEffect(() => {
-    const known = described();
-    if (known?.info !== undefined && known.text === expression() && look().colorRange === undefined) setRange(known.info.range);
-  });
   const setRange = ([low, high]: readonly [number, number]) => {
     if (low < high) actions.changeLook({ colorRange: [low, high] });
   };
