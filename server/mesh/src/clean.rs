@@ -278,6 +278,14 @@ impl Random {
     }
 }
 
+/// The border of the surface at a vertex.
+enum Border {
+    /// The vertex is inside the surface.
+    None,
+    /// The vertex is on a border, between these vertices.
+    Along([u32; 2]),
+}
+
 /// State of a repair.
 struct Repair<'a> {
     mesh: &'a mut Mesh,
@@ -315,8 +323,8 @@ impl Repair<'_> {
         flips.blocked
     }
 
-    /// Moves the vertices of a group and `rings` rings of neighbours, until none of their triangles intersect, or for [`SWEEPS`]. Does not
-    /// move vertices on borders.
+    /// Moves the vertices of a group and `rings` rings of neighbours, until none of their triangles intersect, or for [`SWEEPS`]. Moves
+    /// vertices on borders along these.
     fn repair_group(&mut self, mut vertices: Vec<u32>, rings: usize, tree: &TriangleTree) {
         for _ in 0..rings {
             let neighbours: Vec<u32> = vertices.iter().flat_map(|&vertex| self.neighbours(vertex)).collect();
@@ -324,7 +332,7 @@ impl Repair<'_> {
             vertices.sort_unstable();
             vertices.dedup();
         }
-        vertices.retain(|&vertex| !self.is_on_border(vertex));
+        vertices.retain(|&vertex| self.border(vertex).is_some());
         for _ in 0..SWEEPS {
             let mut is_done = true;
             for &vertex in &vertices {
@@ -399,24 +407,12 @@ impl Repair<'_> {
 
     /// Returns candidate positions of a vertex, the nearest to its `current` position first.
     fn candidates(&mut self, vertex: u32, current: DVec3) -> Vec<DVec3> {
-        let position = |vertex: u32| DVec3::from(self.mesh.positions[vertex as usize].map(f64::from));
         let neighbours = self.neighbours(vertex);
-        let count = neighbours.len().max(1) as f64;
-        let mean = neighbours.iter().map(|&neighbour| position(neighbour)).sum::<DVec3>() / count;
-        let lengths = neighbours
-            .iter()
-            .map(|&neighbour| position(neighbour).distance(current));
-        let mean_length = lengths.sum::<f64>() / count;
+        let mut candidates = match self.border(vertex) {
+            Some(Border::Along(ends)) => self.candidates_along(ends, current),
+            _ => self.candidates_among(&neighbours, current),
+        };
         let original = self.originals.contains_key(&vertex).then(|| self.original(vertex));
-        let mut candidates: Vec<DVec3> = MEAN_FRACTIONS
-            .iter()
-            .map(|&fraction| current.lerp(mean, fraction))
-            .collect();
-        candidates.extend(
-            RANDOM_RADII
-                .iter()
-                .map(|&radius| current + radius * mean_length * self.random.vector()),
-        );
         candidates.extend(original);
         if let Some(&to_caps) = self.mesh.caps.get(vertex as usize) {
             let (original, reach) = (self.original(vertex), self.reach(vertex, &neighbours));
@@ -426,6 +422,43 @@ impl Repair<'_> {
                 .collect();
         }
         candidates.sort_by(|a, b| a.distance(current).total_cmp(&b.distance(current)));
+        candidates
+    }
+
+    fn position(&self, vertex: u32) -> DVec3 {
+        DVec3::from(self.mesh.positions[vertex as usize].map(f64::from))
+    }
+
+    /// Returns candidate positions between a vertex and its neighbours, and around it.
+    fn candidates_among(&mut self, neighbours: &[u32], current: DVec3) -> Vec<DVec3> {
+        let count = neighbours.len().max(1) as f64;
+        let positions = || neighbours.iter().map(|&neighbour| self.position(neighbour));
+        let mean = positions().sum::<DVec3>() / count;
+        let mean_length = positions().map(|position| position.distance(current)).sum::<f64>() / count;
+        let mut candidates: Vec<DVec3> = MEAN_FRACTIONS
+            .iter()
+            .map(|&fraction| current.lerp(mean, fraction))
+            .collect();
+        candidates.extend(
+            RANDOM_RADII
+                .iter()
+                .map(|&radius| current + radius * mean_length * self.random.vector()),
+        );
+        candidates
+    }
+
+    /// Returns candidate positions of a vertex on a border in the triangle of the vertex and both neighbours on the border. If all three are
+    /// on a face of the volume, so are these.
+    fn candidates_along(&mut self, ends: [u32; 2], current: DVec3) -> Vec<DVec3> {
+        let [first, second] = ends.map(|end| self.position(end));
+        let mut candidates: Vec<DVec3> = MEAN_FRACTIONS
+            .iter()
+            .flat_map(|&fraction| [first, second, first.midpoint(second)].map(|to| current.lerp(to, fraction / 2.0)))
+            .collect();
+        candidates.extend(RANDOM_RADII.iter().map(|_| {
+            let [along, across, _] = self.random.vector().to_array().map(|component| component.abs() / 2.0);
+            current + along * (first - current) + across * (second - current)
+        }));
         candidates
     }
 
@@ -539,9 +572,27 @@ impl Repair<'_> {
         corners
     }
 
-    /// Whether a vertex is on a border, or on an edge of more than two triangles. Any other vertex has as many neighbours as triangles.
-    fn is_on_border(&self, vertex: u32) -> bool {
-        self.neighbours(vertex).len() != self.triangles_of.vertex(vertex).len()
+    /// Returns where a vertex may move. `None` if it must not: at an edge of more than two triangles, or where several borders meet.
+    fn border(&self, vertex: u32) -> Option<Border> {
+        let mut triangles_with: FxHashMap<u32, usize> = FxHashMap::default();
+        let triangles = self.triangles_of.vertex(vertex).iter();
+        for corner in triangles.flat_map(|&triangle| self.mesh.triangles[triangle as usize]) {
+            if corner != vertex {
+                *triangles_with.entry(corner).or_default() += 1;
+            }
+        }
+        if triangles_with.values().any(|&count| count > 2) {
+            return None;
+        }
+        let mut ends: Vec<u32> = (triangles_with.iter())
+            .filter_map(|(&corner, &count)| (count == 1).then_some(corner))
+            .collect();
+        ends.sort_unstable();
+        match ends[..] {
+            [] => Some(Border::None),
+            [first, second] => Some(Border::Along([first, second])),
+            _ => None,
+        }
     }
 
     /// Adds the number of moved vertices and the largest move to `cleaned`.

@@ -197,11 +197,17 @@ fn lost_looks(surface: &FileSurface) -> Vec<String> {
 /// Returns notices about changes of the repair, because the measured error does not include them.
 fn repair_notices(mesh: &Mesh, cleaned: &Cleaned) -> Vec<String> {
     let mut notices = Vec::new();
-    let (count, unit) = (cleaned.moved_vertices, mesh.unit.map_or("", LengthUnit::ascii_symbol));
+    let count = cleaned.moved_vertices;
     if count > 0 {
-        let length = cleaned.largest_move;
+        let unit = mesh
+            .unit
+            .map_or(String::new(), |unit| format!(" {}", unit.ascii_symbol()));
+        let length = match cleaned.largest_move {
+            length @ 0.01..1e6 => format!("{length:.3}{unit}"),
+            length => format!("{length:.3e}{unit}"),
+        };
         notices.push(format!(
-            "{count} vertices were moved by up to {length:.3e} {unit} where triangles intersected, after the error was measured"
+            "{count} vertices were moved by up to {length} where triangles intersected, after the error was measured"
         ));
     }
     let count = cleaned.flipped_edges;

@@ -96,24 +96,57 @@ fn a_clean_mesh_stays_as_it_is() {
 
 #[test]
 fn what_cannot_be_repaired_is_an_error() {
-    // One triangle through another: all vertices are on borders.
+    // One triangle through another. Others hang on their corners, where several borders meet.
+    let crossing = [
+        [[0.0, 0.0, 0.0], [4.0, 0.0, 0.0], [0.0, 4.0, 0.0]],
+        [[1.0, 1.0, -1.0], [1.0, 1.0, 1.0], [9.0, 9.0, 1.0]],
+    ];
     let mut mesh = Mesh {
-        positions: vec![
-            [0.0; 3],
-            [4.0, 0.0, 0.0],
-            [0.0, 4.0, 0.0],
-            [1.0, 1.0, -1.0],
-            [1.0, 1.0, 1.0],
-            [9.0, 9.0, 1.0],
-        ],
+        positions: crossing.concat(),
         triangles: vec![[0, 1, 2], [3, 4, 5]],
         ..Mesh::default()
     };
+    for corner in 0..6 {
+        let at = |position: [f32; 3]| DVec3::from(position.map(f64::from));
+        let centre = crossing[corner / 3].map(at).iter().sum::<DVec3>() / 3.0;
+        let outside = at(mesh.positions[corner]).lerp(centre, -0.3);
+        let across = [DVec3::Z, DVec3::new(1.0, -1.0, 0.0)][corner / 3] * 0.2;
+        let next = mesh.positions.len() as u32;
+        let added = [outside + across, outside - across].map(|at| at.to_array().map(|component| component as f32));
+        mesh.positions.extend(added);
+        mesh.triangles.push([corner as u32, next, next + 1]);
+    }
     let error = repair(&mut mesh, Format::Ply, Scope::All, faces(), &|| false)
         .unwrap_err()
         .to_string();
     assert!(error.starts_with("1 pair of triangles still intersects"), "{error}");
     assert_eq!(count(&mesh, Format::Ply, Some(Duration::ZERO), &|| false), None);
+}
+
+#[test]
+fn vertices_on_a_border_move_along_it() {
+    // A flat strip, and a sheet whose border on the same face of the volume crosses it.
+    let mut mesh = Mesh {
+        positions: vec![
+            [0.0, 0.0, 0.0],
+            [4.0, 0.0, 0.0],
+            [0.0, 0.0, 4.0],
+            [4.0, 0.0, 4.0],
+            [1.5, -0.2, 0.0],
+            [2.0, 3.0, 0.0],
+            [2.5, 3.0, 3.0],
+        ],
+        triangles: vec![[0, 1, 2], [1, 3, 2], [4, 5, 6]],
+        ..Mesh::default()
+    };
+    let Repaired { cleaned, .. } = repair(&mut mesh, Format::Ply, Scope::All, faces(), &|| false).unwrap();
+    assert!(cleaned.intersections > 0 && cleaned.moved_vertices > 0, "{cleaned:?}");
+    assert_eq!(count(&mesh, Format::Ply, None, &|| false), Some(0));
+    // Nothing has left the volume.
+    assert!(
+        mesh.positions.iter().all(|[_, _, z]| (0.0..=4.0).contains(z)),
+        "{mesh:?}"
+    );
 }
 
 /// A flat tetrahedron. The edge from 0 to 1 is nearly flat and the longer one, and the edge to which it would be flipped exists.
