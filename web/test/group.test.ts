@@ -110,7 +110,7 @@ describe("a client that follows", () => {
     page = makePage();
     page.client.join(ID, undefined);
     page.client.start();
-    await vi.waitFor(() => expect(said).toEqual([{ type: "join", name: null, group: ID, codings: ["predictive"] }]));
+    await vi.waitFor(() => expect(said).toEqual([{ type: "join", name: null, group: ID, codings: ["predictive", "values"] }]));
   });
 
   function makePage(): ActingPage {
@@ -159,12 +159,12 @@ describe("a client that follows", () => {
     await vi.waitFor(() => expect(heard.at(-1)?.type).toBe("left"));
     expect([page.client.following, page.client.ready]).toEqual([false, true]);
     page.client.restart();
-    await vi.waitFor(() => expect(said.at(-1)).toEqual({ type: "open", volume: "head", step: 2, codings: ["predictive"] }), 5000);
+    await vi.waitFor(() => expect(said.at(-1)).toEqual({ type: "open", volume: "head", step: 2, codings: ["predictive", "values"] }), 5000);
   });
 
   test("who leads does so again on a new connection, after what it shows, and nobody else has the key", async () => {
     const key = "k".repeat(32);
-    const resume = { type: "lead", resume: { group: ID, key }, codings: ["predictive"] };
+    const resume = { type: "lead", resume: { group: ID, key }, codings: ["predictive", "values"] };
     const leads = { ...group, you: 0, key };
     say(leads);
     await vi.waitFor(() => expect(heard).toEqual([{ ...group, you: 0 }]));
@@ -191,7 +191,7 @@ describe("a client that follows", () => {
     await vi.waitFor(() => expect(said.slice(count)).toEqual([resume]), 5000);
     // It was too late.
     say({ type: "error", code: "unknown-group", message: "there is no such group", open: true });
-    await vi.waitFor(() => expect(said.at(-1)).toEqual({ type: "open", volume: "head", step: 2, codings: ["predictive"] }));
+    await vi.waitFor(() => expect(said.at(-1)).toEqual({ type: "open", volume: "head", step: 2, codings: ["predictive", "values"] }));
     expect(page.client.following).toBe(false);
     page.client.restart();
     await vi.waitFor(() => expect(said.slice(count)).toHaveLength(3), 5000);
@@ -209,7 +209,7 @@ describe("a client that follows", () => {
     page.client.start();
     await vi.waitFor(() => expect(said.at(-1)?.type).toBe("open"), 5000);
     say(opened);
-    await vi.waitFor(() => expect(said.at(-1)).toEqual({ type: "lead", resume: leading, codings: ["predictive"] }));
+    await vi.waitFor(() => expect(said.at(-1)).toEqual({ type: "lead", resume: leading, codings: ["predictive", "values"] }));
     page.client.say({ type: "leave" });
     expect(page.client.leads).toBeUndefined();
     await vi.waitFor(() => expect(said.at(-1)).toEqual({ type: "leave" }));
@@ -220,6 +220,6 @@ describe("a client that follows", () => {
     await vi.waitFor(() => expect(heard.at(-1)?.type).toBe("error"));
     expect(page.client.following).toBe(false);
     page.open("head", 0);
-    await vi.waitFor(() => expect(said.at(-1)).toEqual({ type: "open", volume: "head", step: 0, codings: ["predictive"] }));
+    await vi.waitFor(() => expect(said.at(-1)).toEqual({ type: "open", volume: "head", step: 0, codings: ["predictive", "values"] }));
   });
 });

@@ -8,7 +8,7 @@ import { FixtureServer, VOLUMES } from "./fixture";
 
 const ID = "0123456789abcdef0123456789abcdef";
 const KEY = "k".repeat(32);
-const CODINGS = { codings: ["predictive"] };
+const CODINGS = { codings: ["predictive", "values"] };
 
 let server: FixtureServer;
 let address: (volume: string | undefined) => string;

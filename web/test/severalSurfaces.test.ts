@@ -374,7 +374,7 @@ describe("the stream follows the store", () => {
     await sent(2);
     page.open("ball-mirrored", 0);
     await sent(4);
-    expect(server.received.slice(2)).toEqual([{ type: "open", volume: "ball-mirrored", step: 0, codings: ["predictive"] }, { type: "edit" }]);
+    expect(server.received.slice(2)).toEqual([{ type: "open", volume: "ball-mirrored", step: 0, codings: ["predictive", "values"] }, { type: "edit" }]);
     page.open("ball", 0);
     await sent(7);
     expect(server.received.slice(5)).toMatchObject([{ type: "remove", surface: 0 }, { type: "edit", surface: 1, iso: 5 }]);

@@ -152,7 +152,7 @@ describe("the stream client", () => {
     client.page.open("ball", 0);
     client.stream.start();
     await client.done();
-    expect(server.received).toEqual([{ type: "open", volume: "ball", step: 0, codings: ["predictive"] }, { type: "edit" }]);
+    expect(server.received).toEqual([{ type: "open", volume: "ball", step: 0, codings: ["predictive", "values"] }, { type: "edit" }]);
     expect(client.scene.triangles).toBe(trianglesAt(0));
     expect(client.scene.ready.size).toBe(0);
     const read = client.of("opening").map(({ bytes, totalBytes }) => bytes / totalBytes);
@@ -208,7 +208,7 @@ describe("the stream client", () => {
     server.received.length = 0;
     await server.listen(port);
     await client.done(3);
-    expect(server.received[0]).toEqual({ type: "open", volume: "ball", step: 0, codings: ["predictive"] });
+    expect(server.received[0]).toEqual({ type: "open", volume: "ball", step: 0, codings: ["predictive", "values"] });
     expect(server.received[1]).toMatchObject({
       type: "edit",
       beta: 0.5,
@@ -254,7 +254,7 @@ describe("the stream client", () => {
     client.page.open("ball-mirrored", 2);
     await vi.waitFor(() => expect(client.scene.triangles).toBe(trianglesAt(2, 2)));
     expect(server.received.filter(({ type }) => type === "open" || type === "step")).toEqual([
-      { type: "open", volume: "ball-mirrored", step: 0, codings: ["predictive"] },
+      { type: "open", volume: "ball-mirrored", step: 0, codings: ["predictive", "values"] },
       { type: "step", step: 3 },
       { type: "step", step: 2 },
     ]);
