@@ -541,6 +541,7 @@ fn openapi_names_every_name_of_an_extract_request_and_refuses_others() {
         "camera",
         "cap",
         "clean",
+        "colorField",
         "compress",
         "detail",
         "error",

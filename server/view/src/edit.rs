@@ -41,7 +41,7 @@ pub struct Edit {
     #[cfg_attr(feature = "openapi", schema(min_items = 2, max_items = 2))]
     pub feature_range: Option<[f32; 2]>,
     /// Field whose values at the vertices are sent for colours, or an expression over fields; null: none. It changes no triangle. The field
-    /// of `feature` needs no such values: chunks have it already.
+    /// of `feature` needs no such values: chunks have it already. Files have no such values, but those of `fieldValues`.
     #[serde(
         default,
         skip_serializing_if = "Option::is_none",

@@ -224,7 +224,7 @@ export type Edit = {
   featureRange?: [number, number],
   /**
    * Field whose values at the vertices are sent for colours, or an expression over fields; null: none. It changes no triangle. The field
-   * of `feature` needs no such values: chunks have it already.
+   * of `feature` needs no such values: chunks have it already. Files have no such values, but those of `fieldValues`.
    */
   colorField?: string | null,
   /** Weight of the feature against smoothness, 0 to 1. */

@@ -23,7 +23,7 @@ export interface FieldScale {
 const DECADES = 3;
 
 /** The field or feature that the colours of mode `field` are of. */
-export const coloredField = ({ colorField, feature }: Pick<View, "colorField" | "feature">): string => colorField ?? feature;
+const coloredField = ({ colorField, feature }: Pick<View, "colorField" | "feature">): string => colorField ?? feature;
 
 /** The range of the colours if none is chosen; `undefined` if it is not known, as that of an expression. */
 function ownColorRange(view: View, volume: VolumeInfo | undefined): readonly [number, number] | undefined {
