@@ -190,6 +190,7 @@ async fn opened_says_what_rest_says_and_every_value_in_force() {
     let names = [
         "alpha",
         "cap",
+        "colorField",
         "detail",
         "error",
         "feature",
@@ -215,7 +216,7 @@ async fn opened_says_what_rest_says_and_every_value_in_force() {
         .collect();
     assert_eq!(found, names, "`edit` holds every value in force");
     let empty: Vec<&str> = names.into_iter().filter(|&name| edit[name].is_null()).collect();
-    assert_eq!(empty, ["mask", "parts"], "all is shown: {edit}");
+    assert_eq!(empty, ["colorField", "mask", "parts"], "all is shown: {edit}");
 }
 
 /// Air, a head of soft tissue, and in it bone from 900 HU at its surface to 1500 in the middle.
