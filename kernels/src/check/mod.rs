@@ -418,12 +418,8 @@ impl<'a> Check<'a> {
             vertices: vec![vertex].into(),
             ..Region::default()
         }];
-        let between = ValuesOf {
-            padding: 0,
-            nearest: false,
-        };
         self.engine
-            .vertex_values(self.volume(), between, &mut regions, &Never)?;
+            .vertex_values(self.volume(), ValuesOf::default(), &mut regions, &Never)?;
         let sample = ((at[2] * DIMS[1] + at[1]) * DIMS[0] + at[0]) as usize;
         let two: Vec<f32> = values().skip(sample).take(2).map(|v| v as f32).collect();
         near(

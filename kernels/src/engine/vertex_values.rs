@@ -6,8 +6,8 @@ use crate::{Cancel, Engine, Region, Result, Vertex, Volume};
 /// Points of one batch, which bounds the memory; a region may go beyond it.
 const BATCH_POINTS: usize = 1 << 21;
 
-/// How a field's values at vertices are found.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// How a field's values at vertices are found; by default between the samples of a volume without padding.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ValuesOf {
     /// Index coordinates of the field's first sample in the volume of the surface, on each axis.
     pub padding: u32,
@@ -53,7 +53,7 @@ impl Engine {
     }
 }
 
-/// Returns where a vertex is in the field, in cells.
+/// Returns the position of a vertex in the field, in cells.
 fn point(region: &Region, vertex: &Vertex, of: ValuesOf) -> [f32; 4] {
     let cells = region.position_of(vertex).map(|at| {
         let at = (at as f64 / f64::from(Vertex::LATTICE) - f64::from(of.padding)) as f32;

@@ -399,6 +399,12 @@ impl ChunkHeader {
         let values = || Values::parse(&frame[self.payloads_end()..], self.vertex_count as usize);
         self.has_values.then(values).transpose().map_err(ChunkError)
     }
+
+    /// Reads the value of each vertex of a frame with this header; empty if it has none.
+    pub(super) fn vertex_values(&self, frame: &[u8]) -> Result<Vec<f32>, ChunkError> {
+        let values = self.values(frame)?;
+        Ok(values.map(|values| values.to_vec()).unwrap_or_default())
+    }
 }
 
 /// Decodes a chunk of errors: the distances of a region's vertices to the isosurface. Safe on any bytes.
@@ -443,11 +449,10 @@ pub(super) fn decode_meshopt(frame: &[u8]) -> Result<DecodedChunk, ChunkError> {
     if let Some(index) = indices.iter().find(|&&i| i >= header.vertex_count) {
         return Err(ChunkError(format!("index {index} of {} vertices", header.vertex_count)));
     }
-    let values = header.values(frame)?;
     Ok(DecodedChunk {
+        values: header.vertex_values(frame)?,
         header,
         vertices,
         indices,
-        values: values.map(|values| values.to_vec()).unwrap_or_default(),
     })
 }

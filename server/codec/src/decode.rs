@@ -13,12 +13,11 @@ pub fn decode(frame: &[u8]) -> Result<DecodedChunk, ChunkError> {
         (ChunkKind::Cut, Coding::Predictive) if header.vertex_count > 0 => {
             let payload = &frame[HEADER_BYTES..][..header.vertex_bytes as usize];
             let (vertices, indices) = predictive::decode(&header, payload)?;
-            let values = header.values(frame)?;
             Ok(DecodedChunk {
+                values: header.vertex_values(frame)?,
                 header,
                 vertices,
                 indices,
-                values: values.map(|values| values.to_vec()).unwrap_or_default(),
             })
         }
         (ChunkKind::Cut | ChunkKind::Error, Coding::Meshopt | Coding::Predictive) => decode_meshopt(frame),

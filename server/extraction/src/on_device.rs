@@ -152,17 +152,15 @@ impl Workspace {
             .get(&key)
             .is_some_and(|cached| cells_suffice || cached.is_whole());
         self.observer.looked_up("pyramid", is_cached);
-        let colors = match color_key(volume, view) {
-            Some(key) => {
-                let field = self.volumes.peek(&key).map(Arc::clone).ok_or(WorkError::Stopped)?;
-                let values = ValuesOf {
-                    padding: u32::from(view.cap),
-                    nearest: key.field_of(volume)?.has_labels(),
-                };
-                Some((field, values))
-            }
-            None => None,
-        };
+        let colors = color_key(volume, view).map(|key| {
+            let field = self.volumes.peek(&key).map(Arc::clone).ok_or(WorkError::Stopped)?;
+            let values = ValuesOf {
+                padding: u32::from(view.cap),
+                nearest: key.field_of(volume)?.has_labels(),
+            };
+            Ok::<_, JobError>((field, values))
+        });
+        let colors = colors.transpose()?;
         let (engine, cuts, trees) = (self.shared_engine(), Arc::clone(&self.cuts), Arc::clone(&self.trees));
         let (observer, long_work) = (Arc::clone(&self.observer), self.long_work.clone());
         // An error is ignored here: if the device failed, the job's next launch reports it.

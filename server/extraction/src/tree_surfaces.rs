@@ -364,10 +364,7 @@ impl OnDevice<'_> {
             .engine
             .tree_prefix(self.volume, self.pyramid, &tree, &params, &coarser, shown, cancel)?;
         let is_small = made.surface.statistics.triangles <= goal.max_triangles.min(limits.max_triangles);
-        Ok(match is_small {
-            true => Some(self.complete_cut(made, cancel)?),
-            false => None,
-        })
+        Ok(is_small.then(|| self.complete_cut(made, cancel)).transpose()?)
     }
 
     /// Returns the surface that [`OnDevice::tree_surface`] made of a view, refined at intersecting triangles.

@@ -131,16 +131,15 @@ pub fn repair(
     let numbers = Numbers::new(mesh, format);
     let mut repair = Repair {
         positions: numbers.all(mesh),
+        triangles_of: VertexTriangles::new(mesh),
         numbers,
         mesh,
         faces,
         scope,
-        triangles_of: VertexTriangles::default(),
         moved: Vec::new(),
         originals: FxHashMap::default(),
         random: Random(1),
     };
-    repair.triangles_of = VertexTriangles::new(repair.mesh);
     for round in 0..=rounds {
         let is_last = round == rounds;
         // The first round counts the intersections of the mesh as it is.
@@ -552,9 +551,7 @@ impl Repair<'_> {
                     let mut of_c = self.triangles_of.vertex(c).iter().map(corners);
                     of_c.any(|corners| corners.contains(&d))
                 };
-                if flat::is_flipped(&quad) && (exists() || !flat::flips_well(&quad)) {
-                    blocked += 1;
-                }
+                blocked += usize::from(flat::is_blocked(&quad, exists));
             }
         }
         blocked
@@ -572,7 +569,7 @@ impl Repair<'_> {
         corners
     }
 
-    /// Returns where a vertex may move. `None` if it must not: at an edge of more than two triangles, or where several borders meet.
+    /// Returns how a vertex may move. `None` if it must not: at an edge of more than two triangles, or where several borders meet.
     fn border(&self, vertex: u32) -> Option<Border> {
         let mut triangles_with: FxHashMap<u32, usize> = FxHashMap::default();
         let triangles = self.triangles_of.vertex(vertex).iter();

@@ -6,7 +6,6 @@ use isopeel_geometry::DVec3;
 use super::Mesh;
 
 /// The triangles of each vertex.
-#[derive(Default)]
 pub(crate) struct VertexTriangles {
     /// Offset in `triangles` of the first triangle of each vertex, followed by the length of `triangles`.
     first: Vec<u32>,

@@ -1,7 +1,7 @@
 //! Parts of the surface that are chosen by positions: hidden, or kept alone.
 
 use isopeel_kernels::ChosenParts;
-use serde::{Deserialize, Deserializer, Serialize};
+use serde::{Deserialize, Serialize};
 
 use super::error::EditError;
 use super::interest::triple;
@@ -60,13 +60,6 @@ impl ChosenPartsJson {
             Self::Keep(positions) => ChosenParts::Keep(indices(positions)),
         }
     }
-}
-
-/// Deserializes a field that is present: null means all parts, an absent field no change.
-pub(super) fn some_parts<'de, D: Deserializer<'de>>(
-    deserializer: D,
-) -> Result<Option<Option<ChosenPartsJson>>, D::Error> {
-    Option::deserialize(deserializer).map(Some)
 }
 
 /// Parses a position of the command line, `X,Y,Z`.

@@ -1,13 +1,17 @@
 //! [`Edit`] is any part of a view as JSON, in REST and WebSocket alike; field names are normative in `PROTOCOL.md`.
 
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize};
 
 use super::camera::{CameraJson, Detail};
-use super::chosen_parts::{self, ChosenPartsJson};
+use super::chosen_parts::ChosenPartsJson;
 use super::interest::InterestJson;
-use super::mask;
 use super::quality::{self, ErrorLimit, MaxError, MesherName, TopologyName, TriangleBudget};
 use super::transfer_function::TransferFunctionJson;
+
+/// Deserializes a field that is present: null is a value, an absent field no change.
+fn present<'de, D: Deserializer<'de>, T: Deserialize<'de>>(deserializer: D) -> Result<Option<T>, D::Error> {
+    T::deserialize(deserializer).map(Some)
+}
 
 /// Any subset of what can be edited; what is absent stays as it was.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -23,11 +27,7 @@ pub struct Edit {
     pub field: Option<String>,
     /// Restricts the surface to samples at which a field of the volume has certain values, `labels==3`; null: no restriction. Cells that
     /// touch other samples have no surface, as beside missing samples.
-    #[serde(
-        default,
-        skip_serializing_if = "Option::is_none",
-        deserialize_with = "mask::some_mask"
-    )]
+    #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "present")]
     #[cfg_attr(feature = "openapi", schema(value_type = Option<String>))]
     #[cfg_attr(feature = "typescript", ts(type = "string | null"))]
     pub mask: Option<Option<String>>,
@@ -42,11 +42,7 @@ pub struct Edit {
     pub feature_range: Option<[f32; 2]>,
     /// Field whose values at the vertices are sent for colours, or an expression over fields; null: none. It changes no triangle. The field
     /// of `feature` needs no such values: chunks have it already. Files have no such values, but those of `fieldValues`.
-    #[serde(
-        default,
-        skip_serializing_if = "Option::is_none",
-        deserialize_with = "mask::some_mask"
-    )]
+    #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "present")]
     #[cfg_attr(feature = "openapi", schema(value_type = Option<String>))]
     #[cfg_attr(feature = "typescript", ts(type = "string | null"))]
     pub color_field: Option<Option<String>>,
@@ -81,19 +77,11 @@ pub struct Edit {
     pub min_part: Option<f64>,
     /// Parts that are chosen by positions: hidden, or kept while all others are removed; null: all are shown. As `minPart`, with which
     /// both combine.
-    #[serde(
-        default,
-        skip_serializing_if = "Option::is_none",
-        deserialize_with = "chosen_parts::some_parts"
-    )]
+    #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "present")]
     #[cfg_attr(feature = "openapi", schema(value_type = Option<ChosenPartsJson>))]
     pub parts: Option<Option<ChosenPartsJson>>,
     /// Guard: largest distance of a decimated part to the surface it stands for.
-    #[serde(
-        default,
-        skip_serializing_if = "Option::is_none",
-        deserialize_with = "quality::some_max_error"
-    )]
+    #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "present")]
     pub max_error: Option<MaxError>,
     /// Guard: whether decimation may change the topology.
     #[serde(default, skip_serializing_if = "Option::is_none")]

@@ -3,7 +3,7 @@
 use std::hash::{Hash, Hasher};
 
 use isopeel_kernels::{ValueSet, checked_serde};
-use serde::{Deserialize, Deserializer, Serialize};
+use serde::{Deserialize, Serialize};
 
 use super::error::{EditError, quoted};
 
@@ -186,11 +186,6 @@ fn parse_range(text: &str) -> Result<[f32; 2], (usize, String)> {
         return Err((0, "expected a range whose first number is not above the second".into()));
     }
     Ok(ends)
-}
-
-/// Deserializes a field that is present: null means no mask, an absent field no change.
-pub(super) fn some_mask<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Option<String>>, D::Error> {
-    Option::deserialize(deserializer).map(Some)
 }
 
 #[cfg(test)]

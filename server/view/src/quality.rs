@@ -305,11 +305,6 @@ impl<'de> Deserialize<'de> for MaxError {
     }
 }
 
-/// Deserializes a field that is present: null is a value, an absent field no change.
-pub fn some_max_error<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<MaxError>, D::Error> {
-    MaxError::deserialize(deserializer).map(Some)
-}
-
 /// Deserializes a field that is present: null means 0, an absent field no change.
 pub fn some_min_part<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<f64>, D::Error> {
     let min_part = Option::<f64>::deserialize(deserializer)?;

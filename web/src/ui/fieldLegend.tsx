@@ -3,10 +3,9 @@
 import { createEffect, For, Show } from "solid-js";
 import { COLOR_MAPS } from "../colors/maps";
 import type { View } from "../protocol/types";
-import { isExpression } from "../state/expressions";
 import { withRanges } from "../state/featureRanges";
 import { coloredByLook } from "../state/surfaceList";
-import { fieldBarOf, fieldScaleOf, valueAt, type FieldScale } from "./cards/fieldColors";
+import { colorExpression, fieldBarOf, fieldScaleOf, valueAt, type FieldScale } from "./cards/fieldColors";
 import { useDescribed } from "./expressions";
 import { digitsBetween, formatValue } from "./format";
 import { useModel } from "./model";
@@ -35,10 +34,7 @@ function useFieldScale() {
 /** Sets the range of an expression's colours if there is none: a link that was written by hand names none. */
 function useRangeOfExpression(view: () => View | undefined) {
   const { actions, look, volume } = useModel();
-  const expression = () => {
-    const [of, name] = [volume(), view()?.colorField];
-    return of !== undefined && typeof name === "string" && isExpression(of, name) ? name : undefined;
-  };
+  const expression = () => colorExpression(view(), volume());
   const described = useDescribed(expression);
   createEffect(() => {
     const known = described();

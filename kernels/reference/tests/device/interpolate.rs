@@ -67,11 +67,7 @@ fn values_from_several_slabs_are_those_of_one() {
     let before = testing::limit_allocations(&mut engine, 40 * 40 * 70 * 4);
     let recipe = Recipe::plain([40, 40, 140], Pattern::Waves(5), 3);
     assert!(testing::slab_count(&load(&engine, &recipe).volume) > 1);
-    let between = ValuesOf {
-        padding: 0,
-        nearest: false,
-    };
-    check(&engine, &recipe, 33, between).expect("the twin's values");
+    check(&engine, &recipe, 33, ValuesOf::default()).expect("the twin's values");
     testing::limit_allocations(&mut engine, before);
 }
 
@@ -92,12 +88,8 @@ fn a_linear_field_has_its_own_value_at_each_vertex() {
     let linear = isopeel_kernels::Samples::F32(values.collect());
     let linear = load_samples(&engine, grid, &linear, None, 0.0);
     let before = surface.regions.clone();
-    let between = ValuesOf {
-        padding: 0,
-        nearest: false,
-    };
     engine
-        .vertex_values(&linear.volume, between, &mut surface.regions, &Never)
+        .vertex_values(&linear.volume, ValuesOf::default(), &mut surface.regions, &Never)
         .expect("values");
     assert!(before.iter().map(|region| region.vertices.len()).sum::<usize>() > 1000);
     for (region, before) in surface.regions.iter().zip(&before) {

@@ -22,7 +22,7 @@ const SEVERAL: u32 = u32::MAX;
 pub(super) type Quad = [[f64; 3]; 4];
 
 /// Whether an edge is between nearly coplanar triangles, and not locally Delaunay.
-pub(super) fn is_flipped(&quad: &Quad) -> bool {
+fn is_flipped(&quad: &Quad) -> bool {
     let [a, b, c, d] = quad.map(DVec3::from);
     let (left, right) = (triangle_normal([a, b, c]), triangle_normal([b, a, d]));
     let (left_square, right_square) = (left.length_squared(), right.length_squared());
@@ -45,12 +45,17 @@ pub(super) fn is_flipped(&quad: &Quad) -> bool {
 }
 
 /// Whether the two triangles that a flip makes have areas, and face the same side as those before.
-pub(super) fn flips_well(&[a, b, c, d]: &Quad) -> bool {
+fn flips_well(&[a, b, c, d]: &Quad) -> bool {
     let normal = |corners: [[f64; 3]; 3]| triangle_normal(corners.map(DVec3::from));
     let before = normal([a, b, c]) + normal([b, a, d]);
     [[a, d, c], [d, b, c]]
         .iter()
         .all(|corners| has_area(corners) && normal(*corners).dot(before) > 0.0)
+}
+
+/// Whether an edge would be flipped, but cannot be. `exists`: whether the edge that the flip makes exists already.
+pub(super) fn is_blocked(quad: &Quad, exists: impl FnOnce() -> bool) -> bool {
+    is_flipped(quad) && (exists() || !flips_well(quad))
 }
 
 /// Result of [`flip_flat_edges`].
@@ -98,7 +103,7 @@ pub(super) fn flip_flat_edges(positions: &[[f64; 3]], triangles: &mut [[u32; 3]]
         };
         let quad = pair.corners.map(|corner| positions[corner as usize]);
         let [_, _, c, d] = pair.corners;
-        if is_flipped(&quad) && (edges.exist([c, d]) || !flips_well(&quad)) {
+        if is_blocked(&quad, || edges.exist([c, d])) {
             let [first, second] = pair.triangles;
             flips.blocked.push([first.min(second), first.max(second)]);
         }

@@ -251,7 +251,7 @@ impl<B: Backend> Session<B> {
                 self.outbox.push_back(Frame::Prefix(surface, frame));
             }
             PoolDone::Encoded(Ok(mut chunks)) => {
-                if !reads_values {
+                if generation.view.color_field.is_some() && !reads_values {
                     chunks = chunks.iter().map(without_values).collect();
                 }
                 if let Sending::Encoding { sent, batches, .. } = &mut generation.sending {

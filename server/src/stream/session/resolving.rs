@@ -39,17 +39,11 @@ impl OpenVolume {
     /// Whether the device has to resolve a view before the view may replace the one in force.
     pub(super) fn has_to_resolve(&self, surface: u8, view: &View) -> bool {
         let in_force = self.view_of(surface);
-        let inputs = |view: &View| {
-            let View {
-                field,
-                mask,
-                feature,
-                color_field,
-                ..
-            } = view.clone();
-            (field, mask, feature, color_field)
-        };
-        view.iso.is_none() || view.feature_range.is_none() || inputs(view) != inputs(&in_force)
+        let has_other_inputs = view.field != in_force.field
+            || view.mask != in_force.mask
+            || view.feature != in_force.feature
+            || view.color_field != in_force.color_field;
+        view.iso.is_none() || view.feature_range.is_none() || has_other_inputs
     }
 
     /// Returns the pending time step, or else the one in force.

@@ -2,7 +2,6 @@
 
 import { createSignal, Show } from "solid-js";
 import type { FieldInfo } from "../../protocol/types";
-import { isExpression } from "../../state/expressions";
 import { MAX_ISOLINES } from "../../state/look";
 import { withRanges } from "../../state/featureRanges";
 import { coloredByLook } from "../../state/surfaceList";
@@ -14,7 +13,7 @@ import { Select, Toggle } from "../widgets/choice";
 import { NumberField } from "../widgets/numberField";
 import { ExpressionEditor } from "./expressionEditor";
 import { featureInfo, label, NO_FEATURE } from "./features";
-import { fieldScaleOf, logProblem } from "./fieldColors";
+import { colorExpression, fieldScaleOf, logProblem } from "./fieldColors";
 
 /** A number of isolines to begin with. */
 const FIRST_ISOLINES = 8;
@@ -59,10 +58,7 @@ function Fields() {
   const model = useModel();
   const { actions, view, volume } = model;
   const [editing, setEditing] = createSignal(false);
-  const expression = () => {
-    const [of, name] = [volume(), view()?.colorField];
-    return of !== undefined && typeof name === "string" && isExpression(of, name) ? name : undefined;
-  };
+  const expression = () => colorExpression(view(), volume());
   const setRange = ([low, high]: readonly [number, number]) => {
     if (low < high) actions.changeLook({ colorRange: [low, high] });
   };
@@ -117,10 +113,7 @@ function Ranges() {
     const at = (share: number) => range[0] + share * (range[1] - range[0]);
     return [at(span[0]), at(span[1])] as const;
   };
-  const described = useDescribed(() => {
-    const [of, name] = [volume(), colored()?.view.colorField];
-    return of !== undefined && typeof name === "string" && isExpression(of, name) ? name : undefined;
-  });
+  const described = useDescribed(() => colorExpression(colored()?.view, volume()));
   const ofVolume = () => {
     const [of, view] = [volume(), colored()?.view];
     if (of === undefined || view === undefined) return undefined;

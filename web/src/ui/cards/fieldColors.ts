@@ -1,6 +1,7 @@
 /** Colours of a field in its units: from which value to which, linear or logarithmic, and isolines. Pure. */
 
 import type { View, VolumeInfo } from "../../protocol/types";
+import { isExpression } from "../../state/expressions";
 import type { Look } from "../../state/look";
 import { roundBelow } from "../../world/ticks";
 import { formatValue } from "../format";
@@ -24,6 +25,12 @@ const DECADES = 3;
 
 /** The field or feature that the colours of mode `field` are of. */
 const coloredField = ({ colorField, feature }: Pick<View, "colorField" | "feature">): string => colorField ?? feature;
+
+/** The expression that the colours of mode `field` are of; `undefined` if they are of a field or a feature. */
+export function colorExpression(view: View | undefined, volume: VolumeInfo | undefined): string | undefined {
+  const name = view?.colorField;
+  return volume !== undefined && typeof name === "string" && isExpression(volume, name) ? name : undefined;
+}
 
 /** The range of the colours if none is chosen; `undefined` if it is not known, as that of an expression. */
 function ownColorRange(view: View, volume: VolumeInfo | undefined): readonly [number, number] | undefined {
