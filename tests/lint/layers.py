@@ -77,7 +77,7 @@ LAYERS = {
         complete requests
     """,
     "server/mesh/src": """
-        caps decimal transform xml
+        caps decimal rows transform xml
         mesh
         topology
         clean

@@ -84,7 +84,7 @@ pub use host_memory::{HostMemory, host_memory_limit, limit_host_memory, trim_hea
 pub use identity::{EngineId, FittedKey, SurfaceKey, ViewKey};
 pub use isopeel_kernels::lock;
 pub use job_error::JobError;
-pub use joined::{JoinError, Joined, WorldMesh, join};
+pub use joined::{JoinError, Joined, WorldMesh};
 pub use keys::{ALWAYS_DESCRIBED, HistogramKey, Masking, VolumeKey, view_keys, with_inputs};
 pub use memory::{
     CountedProcess, MemoryUse, WorkspaceMemory, count_further_bytes, counted_bytes, private_bytes, resident_bytes,

@@ -15,7 +15,8 @@ use isopeel_volumes::LengthUnit;
 use serde_json::{Value, json};
 
 use super::mesh::{FieldValues, Material, attribute_names, linear};
-use super::{ExportError, Mesh, PIECE_BYTES, fits_u32, flush};
+use super::rows::write_rows;
+use super::{ExportError, Mesh, fits_u32};
 
 const MAGIC: &[u8; 4] = b"glTF";
 const VERSION: u32 = 2;
@@ -91,20 +92,18 @@ fn write_arrays(mesh: &Mesh, out: &mut dyn Write) -> Result<(), ExportError> {
     out.write_all(bytemuck::cast_slice(&mesh.normals))?;
     out.write_all(bytemuck::cast_slice(&mesh.smoothness))?;
     out.write_all(bytemuck::cast_slice(&mesh.feature))?;
-    let mut rows = Vec::with_capacity(2 * PIECE_BYTES);
     for field in &mesh.fields {
-        for value in &field.values {
-            let value = if value.is_finite() { *value } else { MISSING };
-            rows.extend_from_slice(&value.to_le_bytes());
-            flush(&mut rows, out, PIECE_BYTES)?;
-        }
+        write_rows(field.values.len(), out, |vertex, bytes| {
+            let value = field.values[vertex];
+            let value = if value.is_finite() { value } else { MISSING };
+            bytes.extend_from_slice(&value.to_le_bytes());
+        })?;
     }
-    // Adds an alpha of 1, because the size of an attribute must be a multiple of four bytes.
-    for &[r, g, b] in &mesh.colors {
-        rows.extend_from_slice(bytemuck::bytes_of(&[r, g, b, u16::MAX]));
-        flush(&mut rows, out, PIECE_BYTES)?;
-    }
-    flush(&mut rows, out, 0)?;
+    write_rows(mesh.colors.len(), out, |vertex, bytes| {
+        let [r, g, b] = mesh.colors[vertex];
+        // Adds an alpha of 1, because the size of an attribute must be a multiple of four bytes.
+        bytes.extend_from_slice(bytemuck::bytes_of(&[r, g, b, u16::MAX]));
+    })?;
     out.write_all(bytemuck::cast_slice(&mesh.triangles))?;
     Ok(())
 }

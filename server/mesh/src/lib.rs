@@ -24,6 +24,7 @@ pub mod mesh;
 mod obj;
 mod ply;
 mod precomputed;
+mod rows;
 pub mod stl;
 mod three_mf;
 pub mod topology;
@@ -353,7 +354,7 @@ pub struct Content {
 }
 
 impl Content {
-    /// Writes the file.
+    /// Writes the file. On a thread of a rayon pool, this pool encodes the file in parallel.
     ///
     /// # Errors
     /// The format cannot hold the content, or the errors of `out`.
@@ -407,18 +408,6 @@ impl Content {
 
 /// Maximum bytes of a file in a ZIP without the headers of ZIP64.
 const MAX_BYTES_WITHOUT_ZIP64: u64 = u32::MAX as u64;
-
-/// Bytes of rows that are buffered before they are written.
-const PIECE_BYTES: usize = 1 << 16;
-
-/// Writes the buffered rows and clears them, if they have more than `limit` bytes.
-fn flush(rows: &mut Vec<u8>, out: &mut dyn Write, limit: usize) -> Result<(), ExportError> {
-    if rows.len() > limit {
-        out.write_all(rows)?;
-        rows.clear();
-    }
-    Ok(())
-}
 
 /// Length and hash of a file, known before the file is written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -1,15 +1,16 @@
 //! Joins the regions of a surface to one mesh in world units.
 
-use isopeel_extraction::join;
+use isopeel_extraction::Joined;
 use isopeel_geometry::UnevenAxes;
-use isopeel_kernels::{Surface, Vertex};
+use isopeel_kernels::{Region, Surface};
 use isopeel_view::TransferFunctionJson;
 use isopeel_view::quality::MesherName;
 use isopeel_volumes::{Frame, Geometry, LengthUnit};
+use rayon::prelude::*;
 
 use super::ExportError;
 use super::caps::ToCaps;
-use super::transform::Transform;
+use super::transform::{Transform, index_of};
 
 /// A surface in world units. Vertices that several regions share are joined. Triangles are ordered by level, finest first.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -106,23 +107,56 @@ impl Mesh {
         is_cancelled: &dyn Fn() -> bool,
     ) -> Result<Self, ExportError> {
         let transform = Transform::new(geometry, uneven);
+        let joined = Joined::new(&surface.regions, is_cancelled)?;
         let mut mesh = Self {
             origin: transform.origin.to_array(),
+            triangles: joined.triangles,
+            level_triangles: joined.level_triangles,
             smallest_spacing: geometry.spacing.into_iter().fold(f64::INFINITY, f64::min),
             frame: geometry.frame,
             unit: geometry.unit,
             ..Self::default()
         };
-        let vertices: usize = surface.regions.iter().map(|region| region.vertices.len()).sum();
-        mesh.reserve(vertices);
-        let joined = join(&surface.regions, is_cancelled, |lattice, vertex| {
-            mesh.push(vertex, lattice, &transform)
-        })?;
-        (mesh.triangles, mesh.level_triangles) = (joined.triangles, joined.level_triangles);
+        mesh.set_vertices(&surface.regions, &joined.vertices, &transform)?;
         if transform.mirrors {
             mesh.triangles.iter_mut().for_each(|[_, b, c]| std::mem::swap(b, c));
         }
         Ok(mesh)
+    }
+
+    /// Sets the attributes of all vertices, in parallel. `vertices`: region and number in the region of each vertex.
+    fn set_vertices(
+        &mut self,
+        regions: &[Region],
+        vertices: &[[u32; 2]],
+        transform: &Transform<'_>,
+    ) -> Result<(), ExportError> {
+        self.positions = vec![[0.0; 3]; vertices.len()];
+        self.normals = vec![[0.0; 3]; vertices.len()];
+        self.smoothness = vec![0.0; vertices.len()];
+        self.feature = vec![0.0; vertices.len()];
+        self.index = vec![[0.0; 3]; vertices.len()];
+        let attributes = (
+            vertices,
+            &mut self.positions,
+            &mut self.normals,
+            &mut self.smoothness,
+            &mut self.feature,
+            &mut self.index,
+        );
+        attributes
+            .into_par_iter()
+            .try_for_each(|(&[region, vertex], position, normal, smoothness, feature, index)| {
+                let region = &regions[region as usize];
+                let vertex = &region.vertices[vertex as usize];
+                let lattice = region.position_of(vertex);
+                *position = transform.position(lattice)?;
+                *normal = transform.normal(lattice, vertex.unit_normal());
+                *smoothness = f32::from(vertex.smoothness) / 65535.0;
+                *feature = f32::from(vertex.feature) / 65535.0;
+                *index = index_of(lattice).to_array().map(|component| component as f32);
+                Ok(())
+            })
     }
 
     /// Adds a copy of a vertex, and returns the number of the copy.
@@ -188,25 +222,6 @@ impl Mesh {
                 color_at(&points, (1.0 - alpha) * s + alpha * f).map(|c| (linear(c) * 65535.0).round() as u16)
             })
             .collect();
-    }
-
-    fn reserve(&mut self, vertices: usize) {
-        self.positions.reserve(vertices);
-        self.index.reserve(vertices);
-        self.normals.reserve(vertices);
-        self.smoothness.reserve(vertices);
-        self.feature.reserve(vertices);
-    }
-
-    /// Adds a vertex at a lattice position of the whole volume.
-    fn push(&mut self, vertex: &Vertex, lattice: [i64; 3], transform: &Transform<'_>) -> Result<(), ExportError> {
-        self.positions.push(transform.position(lattice)?);
-        self.index
-            .push(lattice.map(|coordinate| (coordinate as f64 / f64::from(Vertex::LATTICE)) as f32));
-        self.normals.push(transform.normal(lattice, vertex.unit_normal()));
-        self.smoothness.push(f32::from(vertex.smoothness) / 65535.0);
-        self.feature.push(f32::from(vertex.feature) / 65535.0);
-        Ok(())
     }
 }
 

@@ -6,7 +6,8 @@ use isopeel_volumes::LengthUnit;
 
 use super::decimal::{Decimals, push_whole};
 use super::mesh::{ascii, srgb_bytes};
-use super::{ExportError, Mesh, PIECE_BYTES, flush};
+use super::rows::write_rows;
+use super::{ExportError, Mesh};
 
 /// Writes `meshes` as one object each: world positions, colours after the positions, which most readers accept, and normals. Positions are
 /// rounded by less than a hundred-thousandth of the smallest spacing. Comments contain frame, unit, provenance and notices.
@@ -14,40 +15,38 @@ use super::{ExportError, Mesh, PIECE_BYTES, flush};
 /// # Errors
 /// Errors of `out`.
 pub fn write(meshes: &[Mesh], out: &mut dyn Write) -> Result<(), ExportError> {
-    let mut text = format!("# isopeel {}\n", env!("CARGO_PKG_VERSION")).into_bytes();
+    writeln!(out, "# isopeel {}", env!("CARGO_PKG_VERSION"))?;
     // Vertices are numbered from 1 through all objects.
     let mut first = 1;
     for mesh in meshes {
-        comments(mesh, &mut text);
-        text.extend(format!("o {}\n", ascii(&mesh.name)).bytes());
-        vertices(mesh, &mut text, out)?;
-        for triangle in &mesh.triangles {
+        comments(mesh, out)?;
+        writeln!(out, "o {}", ascii(&mesh.name))?;
+        vertices(mesh, out)?;
+        write_rows(mesh.triangles.len(), out, |triangle, text| {
             text.push(b'f');
-            for corner in triangle {
-                let number = first + u64::from(*corner);
+            for corner in mesh.triangles[triangle] {
                 text.push(b' ');
                 let digits = text.len();
-                push_whole(&mut text, number);
+                push_whole(text, first + u64::from(corner));
                 let end = text.len();
                 text.extend_from_slice(b"//");
                 text.extend_from_within(digits..end);
             }
             text.push(b'\n');
-            flush(&mut text, out, PIECE_BYTES)?;
-        }
+        })?;
         first += mesh.positions.len() as u64;
     }
-    flush(&mut text, out, 0)
+    Ok(())
 }
 
 /// Writes positions with their colours, then normals.
-fn vertices(mesh: &Mesh, text: &mut Vec<u8>, out: &mut dyn Write) -> Result<(), ExportError> {
+fn vertices(mesh: &Mesh, out: &mut dyn Write) -> Result<(), ExportError> {
     let (decimals, unit_decimals) = (Decimals::of_spacing(mesh.smallest_spacing), Decimals::new(4));
     let surface_color = mesh
         .material
         .color
         .map(|color| color.map(|byte| f64::from(byte) / 255.0));
-    for vertex in 0..mesh.positions.len() {
+    write_rows(mesh.positions.len(), out, |vertex, text| {
         text.push(b'v');
         for component in mesh.world(vertex) {
             text.push(b' ');
@@ -60,29 +59,28 @@ fn vertices(mesh: &Mesh, text: &mut Vec<u8>, out: &mut dyn Write) -> Result<(), 
             unit_decimals.push(text, component);
         }
         text.push(b'\n');
-        flush(text, out, PIECE_BYTES)?;
-    }
-    for normal in &mesh.normals {
+    })?;
+    write_rows(mesh.normals.len(), out, |vertex, text| {
         text.extend_from_slice(b"vn");
-        for &component in normal {
+        for component in mesh.normals[vertex] {
             text.push(b' ');
             unit_decimals.push(text, component.into());
         }
         text.push(b'\n');
-        flush(text, out, PIECE_BYTES)?;
-    }
+    })?;
     Ok(())
 }
 
-fn comments(mesh: &Mesh, text: &mut Vec<u8>) {
+fn comments(mesh: &Mesh, out: &mut dyn Write) -> Result<(), ExportError> {
     let unit = mesh.unit.map_or("unknown", LengthUnit::ascii_symbol);
-    text.extend(format!("# frame {}, unit {unit}\n", mesh.frame.name()).bytes());
+    writeln!(out, "# frame {}, unit {unit}", mesh.frame.name())?;
     for (name, value) in &mesh.provenance {
-        text.extend(format!("# {name}: {}\n", ascii(value)).bytes());
+        writeln!(out, "# {name}: {}", ascii(value))?;
     }
     for notice in mesh.notices.iter().filter(|line| !line.is_empty()) {
-        text.extend(format!("# notice: {}\n", ascii(notice)).bytes());
+        writeln!(out, "# notice: {}", ascii(notice))?;
     }
+    Ok(())
 }
 
 #[cfg(test)]

@@ -5,7 +5,8 @@ use std::io::Write;
 use isopeel_volumes::LengthUnit;
 
 use super::mesh::{ascii, attribute_names, srgb_bytes};
-use super::{ExportError, Mesh, PIECE_BYTES, flush};
+use super::rows::write_rows;
+use super::{ExportError, Mesh};
 
 /// Writes `mesh`. A vertex has position, normal, `smoothness` and `feature` (0 to 1). Positions have 64 bits, so that they are exact even
 /// far from the origin. A face has three corners. Faces are ordered by level, finest first, and a comment states their number at each
@@ -35,25 +36,22 @@ pub fn write(mesh: &Mesh, out: &mut dyn Write) -> Result<(), ExportError> {
         properties(mesh),
         mesh.triangles.len(),
     )?;
-    let mut rows = Vec::with_capacity(2 * PIECE_BYTES);
-    for i in 0..mesh.positions.len() {
-        rows.extend_from_slice(bytemuck::bytes_of(&mesh.world(i)));
-        rows.extend_from_slice(bytemuck::bytes_of(&mesh.normals[i]));
-        rows.extend_from_slice(bytemuck::bytes_of(&[mesh.smoothness[i], mesh.feature[i]]));
+    write_rows(mesh.positions.len(), out, |i, bytes| {
+        bytes.extend_from_slice(bytemuck::bytes_of(&mesh.world(i)));
+        bytes.extend_from_slice(bytemuck::bytes_of(&mesh.normals[i]));
+        bytes.extend_from_slice(bytemuck::bytes_of(&[mesh.smoothness[i], mesh.feature[i]]));
         for field in &mesh.fields {
-            rows.extend_from_slice(bytemuck::bytes_of(&field.values[i]));
+            bytes.extend_from_slice(bytemuck::bytes_of(&field.values[i]));
         }
         if let Some(&color) = mesh.colors.get(i) {
-            rows.extend_from_slice(&srgb_bytes(color));
+            bytes.extend_from_slice(&srgb_bytes(color));
         }
-        flush(&mut rows, out, PIECE_BYTES)?;
-    }
-    for triangle in &mesh.triangles {
-        rows.push(3);
-        rows.extend_from_slice(bytemuck::bytes_of(triangle));
-        flush(&mut rows, out, PIECE_BYTES)?;
-    }
-    flush(&mut rows, out, 0)
+    })?;
+    write_rows(mesh.triangles.len(), out, |i, bytes| {
+        bytes.push(3);
+        bytes.extend_from_slice(bytemuck::bytes_of(&mesh.triangles[i]));
+    })?;
+    Ok(())
 }
 
 /// Returns a comment about the anatomical frame in the form that 3D Slicer reads; empty for other frames.

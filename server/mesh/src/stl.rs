@@ -5,7 +5,8 @@ use std::io::Write;
 use isopeel_geometry::{DVec3, triangle_normal};
 use isopeel_volumes::LengthUnit;
 
-use super::{ExportError, Mesh, PIECE_BYTES, fits_u32, flush};
+use super::rows::write_rows;
+use super::{ExportError, Mesh, fits_u32};
 
 /// Maximum rounding error without a notice, as a fraction of the smallest spacing.
 const MAX_UNNOTICED: f64 = 1e-3;
@@ -60,15 +61,14 @@ pub fn write(mesh: &Mesh, out: &mut dyn Write) -> Result<(), ExportError> {
     let world_positions = vertices
         .map(|vertex| mesh.world_f32(vertex))
         .collect::<Result<Vec<_>, _>>()?;
-    let mut rows = Vec::with_capacity(2 * PIECE_BYTES);
-    for triangle in &mesh.triangles {
-        let normal = plane_normal(triangle.map(|i| mesh.positions[i as usize]));
-        rows.extend_from_slice(bytemuck::bytes_of(&normal));
-        rows.extend_from_slice(bytemuck::bytes_of(&triangle.map(|i| world_positions[i as usize])));
-        rows.extend_from_slice(&[0, 0]);
-        flush(&mut rows, out, PIECE_BYTES)?;
-    }
-    flush(&mut rows, out, 0)
+    write_rows(mesh.triangles.len(), out, |triangle, bytes| {
+        let corners = mesh.triangles[triangle];
+        let normal = plane_normal(corners.map(|i| mesh.positions[i as usize]));
+        bytes.extend_from_slice(bytemuck::bytes_of(&normal));
+        bytes.extend_from_slice(bytemuck::bytes_of(&corners.map(|i| world_positions[i as usize])));
+        bytes.extend_from_slice(&[0, 0]);
+    })?;
+    Ok(())
 }
 
 fn plane_normal(corners: [[f32; 3]; 3]) -> [f32; 3] {

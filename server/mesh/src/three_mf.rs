@@ -8,8 +8,9 @@ use zip::{CompressionMethod, ZipWriter};
 
 use super::decimal::{Decimals, push_whole};
 use super::mesh::srgb_bytes;
+use super::rows::write_rows;
 use super::xml::escaped;
-use super::{ExportError, MAX_BYTES_WITHOUT_ZIP64, Mesh, PIECE_BYTES, flush};
+use super::{ExportError, MAX_BYTES_WITHOUT_ZIP64, Mesh};
 
 /// Compression level of deflate. The fastest one, because higher ones take three times as long to save a tenth of the bytes.
 const LEVEL: i64 = 1;
@@ -62,27 +63,24 @@ pub fn write(meshes: &[Mesh], compresses: bool, out: &mut dyn Write) -> Result<(
 }
 
 fn model(meshes: &[Mesh], out: &mut dyn Write) -> Result<(), ExportError> {
-    let mut text = Text::new(out);
-    text.push(
-        "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n\
+    out.write_all(
+        b"<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n\
          <model unit=\"millimeter\" xml:lang=\"en-US\" \
          xmlns=\"http://schemas.microsoft.com/3dmanufacturing/core/2015/02\" \
          xmlns:m=\"http://schemas.microsoft.com/3dmanufacturing/material/2015/02\" \
          xmlns:isopeel=\"urn:isopeel:provenance\">\n",
-    );
-    text.push(&metadata(meshes));
-    text.push("<resources>\n");
-    text.push(&materials(meshes));
+    )?;
+    write!(out, "{}<resources>\n{}", metadata(meshes), materials(meshes))?;
     let mut next = MATERIALS + 1;
     let mut items = String::new();
     // Skips empty meshes, because an object must have triangles.
     for (material, mesh) in meshes.iter().enumerate().filter(|(_, mesh)| !mesh.triangles.is_empty()) {
         let colors = (!mesh.colors.is_empty()).then(|| Colors::new(mesh, next));
         if let Some(colors) = &colors {
-            text.push(&colors.group);
+            out.write_all(colors.group.as_bytes())?;
             next += 1;
         }
-        object(mesh, next, material, colors.as_ref(), &mut text)?;
+        object(mesh, next, material, colors.as_ref(), out)?;
         let decimals = Decimals::of_spacing(mesh.smallest_spacing);
         let mut translation = Vec::new();
         for component in mesh.origin {
@@ -95,10 +93,8 @@ fn model(meshes: &[Mesh], out: &mut dyn Write) -> Result<(), ExportError> {
         );
         next += 1;
     }
-    text.push("</resources>\n<build>\n");
-    text.push(&items);
-    text.push("</build>\n</model>\n");
-    text.flush(0)
+    write!(out, "</resources>\n<build>\n{items}</build>\n</model>\n")?;
+    Ok(())
 }
 
 /// Returns the metadata elements: title, program, frame, provenance and notices. Names that the specification does not define have the
@@ -181,63 +177,46 @@ fn object(
     id: usize,
     material: usize,
     colors: Option<&Colors>,
-    text: &mut Text<'_>,
+    out: &mut dyn Write,
 ) -> Result<(), ExportError> {
     let kind = if mesh.is_closed { "model" } else { "surface" };
-    text.push(&format!(
+    write!(
+        out,
         "<object id=\"{id}\" type=\"{kind}\" name=\"{}\" pid=\"{MATERIALS}\" pindex=\"{material}\">\n<mesh>\n<vertices>\n",
         escaped(&mesh.name)
-    ));
+    )?;
     let decimals = Decimals::of_spacing(mesh.smallest_spacing);
-    for position in &mesh.positions {
-        for (name, &component) in ["<vertex x=\"", "\" y=\"", "\" z=\""].into_iter().zip(position) {
-            text.push(name);
-            decimals.push(&mut text.text, component.into());
+    write_rows(mesh.positions.len(), out, |vertex, text| {
+        let names = ["<vertex x=\"", "\" y=\"", "\" z=\""];
+        for (name, component) in names.into_iter().zip(mesh.positions[vertex]) {
+            text.extend_from_slice(name.as_bytes());
+            decimals.push(text, component.into());
         }
-        text.push("\"/>\n");
-        text.flush(PIECE_BYTES)?;
-    }
-    text.push("</vertices>\n<triangles>\n");
+        text.extend_from_slice(b"\"/>\n");
+    })?;
+    out.write_all(b"</vertices>\n<triangles>\n")?;
     // Skips degenerate triangles, because the specification forbids equal corners.
-    for triangle in mesh.triangles.iter().filter(|[a, b, c]| a != b && b != c && c != a) {
-        for (name, &corner) in ["<triangle v1=\"", "\" v2=\"", "\" v3=\""].into_iter().zip(triangle) {
-            text.push(name);
-            push_whole(&mut text.text, corner.into());
+    write_rows(mesh.triangles.len(), out, |triangle, text| {
+        let corners @ [a, b, c] = mesh.triangles[triangle];
+        if a == b || b == c || c == a {
+            return;
+        }
+        for (name, corner) in ["<triangle v1=\"", "\" v2=\"", "\" v3=\""].into_iter().zip(corners) {
+            text.extend_from_slice(name.as_bytes());
+            push_whole(text, corner.into());
         }
         if let Some(colors) = colors {
-            text.push(&format!("\" pid=\"{}", colors.id));
-            for (name, &corner) in ["\" p1=\"", "\" p2=\"", "\" p3=\""].into_iter().zip(triangle) {
-                text.push(name);
-                push_whole(&mut text.text, colors.vertex_indices[corner as usize].into());
+            text.extend_from_slice(b"\" pid=\"");
+            push_whole(text, colors.id as u64);
+            for (name, corner) in ["\" p1=\"", "\" p2=\"", "\" p3=\""].into_iter().zip(corners) {
+                text.extend_from_slice(name.as_bytes());
+                push_whole(text, colors.vertex_indices[corner as usize].into());
             }
         }
-        text.push("\"/>\n");
-        text.flush(PIECE_BYTES)?;
-    }
-    text.push("</triangles>\n</mesh>\n</object>\n");
+        text.extend_from_slice(b"\"/>\n");
+    })?;
+    out.write_all(b"</triangles>\n</mesh>\n</object>\n")?;
     Ok(())
-}
-
-/// Buffered text of a file in the ZIP.
-struct Text<'a> {
-    text: Vec<u8>,
-    out: &'a mut dyn Write,
-}
-
-impl<'a> Text<'a> {
-    fn new(out: &'a mut dyn Write) -> Self {
-        let text = Vec::with_capacity(2 * PIECE_BYTES);
-        Self { text, out }
-    }
-
-    fn push(&mut self, text: &str) {
-        self.text.extend_from_slice(text.as_bytes());
-    }
-
-    /// Writes the buffered text if it has more than `limit` bytes.
-    fn flush(&mut self, limit: usize) -> Result<(), ExportError> {
-        flush(&mut self.text, self.out, limit)
-    }
 }
 
 #[cfg(test)]

@@ -2,6 +2,7 @@
 //! encloses.
 
 use isopeel_geometry::DVec3;
+use rayon::prelude::*;
 
 use super::Mesh;
 
@@ -59,50 +60,91 @@ pub struct Topology {
 /// Splits each vertex at which several sheets touch, so that each sheet has a separate vertex. Then the triangles of each vertex are one
 /// fan, connected by edges. If sheets touch along an edge, the triangles that bound the same solid at this edge are one sheet.
 pub fn split_pinched(mesh: &mut Mesh) -> Topology {
-    let mut split = 0;
-    loop {
-        let pass = split_once(mesh);
-        split += pass.split;
-        // Splitting one vertex may disconnect sheets at another vertex, so passes are repeated. This terminates, because each pass adds
-        // vertices, and there are never more vertices than corners of triangles.
-        if pass.split == 0 {
-            return Topology { split, ..pass };
-        }
-    }
-}
-
-/// Splits the pinched vertices in one pass over all vertices.
-fn split_once(mesh: &mut Mesh) -> Topology {
     let triangles_of = VertexTriangles::new(mesh);
+    let vertices = mesh.positions.len() as u32;
+    let Found { mut pinched, is_open } = pinched_vertices(mesh, &triangles_of);
     let mut topology = Topology {
         split: 0,
-        is_closed: !mesh.triangles.is_empty(),
+        is_closed: !mesh.triangles.is_empty() && !is_open,
     };
-    let mut wedges = Vec::new();
-    for vertex in 0..mesh.positions.len() as u32 {
-        wedges.clear();
-        wedges.extend(
-            triangles_of
-                .vertex(vertex)
-                .iter()
-                .filter_map(|&triangle| wedge(mesh, triangle, vertex)),
-        );
-        match single_fan(&wedges) {
-            Some(is_closed) => topology.is_closed &= is_closed,
-            None => {
-                let fans = fans(mesh, vertex, &wedges, &mut topology.is_closed);
-                topology.split += split(mesh, vertex, &wedges, &fans);
+    // The vertices of which the new ones are copies.
+    let mut originals = Vec::new();
+    // Splitting one vertex may disconnect sheets at another vertex, so the vertices around it are looked at again. This terminates, because
+    // each round adds vertices, and there are never more vertices than corners of triangles.
+    while !pinched.is_empty() {
+        let mut around = Vec::new();
+        for vertex in pinched {
+            let original = vertex
+                .checked_sub(vertices)
+                .map_or(vertex, |copy| originals[copy as usize]);
+            let wedges: Vec<Wedge> = wedges(mesh, triangles_of.vertex(original), vertex).collect();
+            if let Some(is_closed) = single_fan(&wedges) {
+                topology.is_closed &= is_closed;
+                continue;
+            }
+            let fans = fans(mesh, vertex, &wedges, &mut topology.is_closed);
+            let split = split(mesh, vertex, &wedges, &fans);
+            if split > 0 {
+                topology.split += split;
+                originals.resize(mesh.positions.len() - vertices as usize, original);
+                around.extend(wedges.iter().flat_map(|wedge| mesh.triangles[wedge.triangle as usize]));
             }
         }
+        around.sort_unstable();
+        around.dedup();
+        pinched = around;
     }
     topology
 }
 
+/// What a look at all vertices has found.
+#[derive(Default)]
+struct Found {
+    /// Vertices whose triangles are not a single fan, in ascending order.
+    pinched: Vec<u32>,
+    /// Whether the fan of a vertex is not closed.
+    is_open: bool,
+}
+
+/// Looks at all vertices, in parallel.
+fn pinched_vertices(mesh: &Mesh, triangles_of: &VertexTriangles) -> Found {
+    let vertices = (0..mesh.positions.len() as u32).into_par_iter();
+    let each = vertices.fold(
+        || (Vec::new(), Found::default()),
+        |(mut at, mut found), vertex| {
+            at.clear();
+            at.extend(wedges(mesh, triangles_of.vertex(vertex), vertex));
+            match single_fan(&at) {
+                Some(is_closed) => found.is_open |= !is_closed,
+                None => found.pinched.push(vertex),
+            }
+            (at, found)
+        },
+    );
+    each.map(|(_, found)| found)
+        .reduce(Found::default, |mut first, second| {
+            first.pinched.extend(second.pinched);
+            first.is_open |= second.is_open;
+            first
+        })
+}
+
+/// Returns those of `triangles` that have the vertex, as seen from it.
+fn wedges(mesh: &Mesh, triangles: &[u32], vertex: u32) -> impl Iterator<Item = Wedge> {
+    triangles
+        .iter()
+        .filter_map(move |&triangle| wedge(mesh, triangle, vertex))
+}
+
 /// Returns a triangle as seen from one of its corners; `None` if two of its corners are equal.
 fn wedge(mesh: &Mesh, triangle: u32, vertex: u32) -> Option<Wedge> {
-    let corners = mesh.triangles[triangle as usize];
-    let index = corners.iter().position(|&corner| corner == vertex)?;
-    let [next, previous] = [corners[(index + 1) % 3], corners[(index + 2) % 3]];
+    let [a, b, c] = mesh.triangles[triangle as usize];
+    let (next, previous) = match vertex {
+        _ if vertex == a => (b, c),
+        _ if vertex == b => (c, a),
+        _ if vertex == c => (a, b),
+        _ => return None,
+    };
     let is_distinct = next != vertex && previous != vertex && next != previous;
     is_distinct.then_some(Wedge {
         triangle,
@@ -117,6 +159,9 @@ fn single_fan(wedges: &[Wedge]) -> Option<bool> {
     let Some(first) = wedges.first() else {
         return Some(true);
     };
+    if is_closed_fan(wedges, first) {
+        return Some(true);
+    }
     // Walks around the vertex in one direction, from wedge to wedge.
     let (mut seen, mut end) = (1, first.previous);
     while end != first.next {
@@ -133,7 +178,7 @@ fn single_fan(wedges: &[Wedge]) -> Option<bool> {
         }
     }
     if end == first.next {
-        return (seen == wedges.len()).then_some(true);
+        return None;
     }
     // Walks from the first wedge in the other direction to the other border.
     let mut start = first.next;
@@ -149,6 +194,19 @@ fn single_fan(wedges: &[Wedge]) -> Option<bool> {
             return None;
         }
     }
+}
+
+/// Whether the triangles at a vertex are one closed fan. A walk from wedge to wedge, each the first that fits, comes back after as many
+/// wedges as there are only if each of them fits alone.
+fn is_closed_fan(wedges: &[Wedge], first: &Wedge) -> bool {
+    let mut end = first.previous;
+    for _ in 1..wedges.len() {
+        match wedges.iter().find(|wedge| wedge.next == end) {
+            Some(wedge) if end != first.next => end = wedge.previous,
+            _ => return false,
+        }
+    }
+    end == first.next
 }
 
 /// Returns for each triangle at a vertex the number of its fan. Clears `is_closed` if a triangle has no partner at an edge.

@@ -100,7 +100,7 @@ fn gradient_steps(uneven: &UnevenAxes, mesher: MesherName, index: DVec3) -> DVec
 }
 
 /// Converts a position on the lattice to index space.
-fn index_of(lattice: [i64; 3]) -> DVec3 {
+pub(crate) fn index_of(lattice: [i64; 3]) -> DVec3 {
     DVec3::from(lattice.map(|p| p as f64)) / f64::from(Vertex::LATTICE)
 }
 

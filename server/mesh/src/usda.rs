@@ -11,7 +11,8 @@ use isopeel_volumes::LengthUnit;
 
 use super::decimal::{Decimals, push_whole};
 use super::mesh::{distinct_names, linear, plain};
-use super::{ExportError, Mesh, PIECE_BYTES, flush};
+use super::rows::write_rows;
+use super::{ExportError, Mesh};
 
 /// Name of the scope that contains the materials.
 const MATERIALS: &str = "Materials";
@@ -42,16 +43,16 @@ pub fn write(meshes: &[Mesh], out: &mut dyn Write) -> Result<(), ExportError> {
     let non_empty: Vec<&Mesh> = meshes.iter().filter(|mesh| !mesh.triangles.is_empty()).collect();
     let stage_metres = meshes.first().map_or(1.0, metres);
     let names = identifiers(&non_empty);
-    let mut text = head(stage_metres).into_bytes();
+    out.write_all(head(stage_metres).as_bytes())?;
     for (mesh, name) in non_empty.iter().zip(&names) {
-        surface(mesh, name, metres(mesh) / stage_metres, &mut text, out)?;
+        surface(mesh, name, metres(mesh) / stage_metres, out)?;
     }
-    text.extend(format!("    def Scope \"{MATERIALS}\"\n    {{\n").bytes());
+    write!(out, "    def Scope \"{MATERIALS}\"\n    {{\n")?;
     for (mesh, name) in non_empty.iter().zip(&names) {
-        text.extend(material(mesh, name).bytes());
+        out.write_all(material(mesh, name).as_bytes())?;
     }
-    text.extend_from_slice(b"    }\n}\n");
-    flush(&mut text, out, 0)
+    out.write_all(b"    }\n}\n")?;
+    Ok(())
 }
 
 /// Returns the length of a mesh's unit in metres. Without a unit, this is 1, as in a GLB.
@@ -96,7 +97,7 @@ fn quoted(string: &str) -> String {
 }
 
 /// Writes a mesh. `scale` is the unit of the mesh divided by the unit of the stage.
-fn surface(mesh: &Mesh, name: &str, scale: f64, text: &mut Vec<u8>, out: &mut dyn Write) -> Result<(), ExportError> {
+fn surface(mesh: &Mesh, name: &str, scale: f64, out: &mut dyn Write) -> Result<(), ExportError> {
     let decimals = Decimals::of_spacing(mesh.smallest_spacing);
     let [low, high] = [f32::min, f32::max].map(|choose| {
         let first = mesh.positions.first().copied().unwrap_or_default();
@@ -104,33 +105,35 @@ fn surface(mesh: &Mesh, name: &str, scale: f64, text: &mut Vec<u8>, out: &mut dy
         mesh.positions.iter().fold(first, extend)
     });
     let mut extent = Vec::new();
-    tuples(&[low, high], decimals, &mut extent, &mut std::io::sink())?;
+    tuples(&[low, high], decimals, &mut extent)?;
     let [x, y, z] = mesh.origin.map(|component| component * scale);
     let is_scaled = scale != 1.0;
-    text.extend(
-        format!(
-            "    def Mesh \"{name}\" (\n        prepend apiSchemas = [\"MaterialBindingAPI\"]\n{}        displayName = {}\n    )\n    {{\n        \
+    write!(
+        out,
+        "    def Mesh \"{name}\" (\n        prepend apiSchemas = [\"MaterialBindingAPI\"]\n{}        displayName = {}\n    )\n    {{\n        \
              uniform bool doubleSided = 1\n        uniform token subdivisionScheme = \"none\"\n        \
              uniform token orientation = \"rightHanded\"\n        rel material:binding = </Surfaces/{MATERIALS}/{name}>\n        \
              double3 xformOp:translate = ({x:?}, {y:?}, {z:?})\n{}        \
              uniform token[] xformOpOrder = [\"xformOp:translate\"{}]\n        float3[] extent = [{}]\n",
-            provenance(mesh),
-            quoted(&mesh.name),
-            if is_scaled { format!("        double3 xformOp:scale = ({scale:?}, {scale:?}, {scale:?})\n") } else { String::new() },
-            if is_scaled { ", \"xformOp:scale\"" } else { "" },
-            String::from_utf8_lossy(&extent),
-        )
-        .bytes(),
-    );
-    topology(mesh, text, out)?;
-    text.extend_from_slice(b"        point3f[] points = [");
-    tuples(&mesh.positions, decimals, text, out)?;
-    text.extend_from_slice(b"]\n        normal3f[] normals = [");
-    tuples(&mesh.normals, Decimals::new(UNIT_DIGITS), text, out)?;
-    text.extend_from_slice(b"] (\n            interpolation = \"vertex\"\n        )\n");
-    colors(mesh, text, out)?;
-    fields(mesh, text, out)?;
-    text.extend_from_slice(b"    }\n\n");
+        provenance(mesh),
+        quoted(&mesh.name),
+        if is_scaled {
+            format!("        double3 xformOp:scale = ({scale:?}, {scale:?}, {scale:?})\n")
+        } else {
+            String::new()
+        },
+        if is_scaled { ", \"xformOp:scale\"" } else { "" },
+        String::from_utf8_lossy(&extent),
+    )?;
+    topology(mesh, out)?;
+    out.write_all(b"        point3f[] points = [")?;
+    tuples(&mesh.positions, decimals, out)?;
+    out.write_all(b"]\n        normal3f[] normals = [")?;
+    tuples(&mesh.normals, Decimals::new(UNIT_DIGITS), out)?;
+    out.write_all(b"] (\n            interpolation = \"vertex\"\n        )\n")?;
+    colors(mesh, out)?;
+    fields(mesh, out)?;
+    out.write_all(b"    }\n\n")?;
     Ok(())
 }
 
@@ -157,42 +160,43 @@ fn provenance(mesh: &Mesh) -> String {
     format!("        customData = {{\n            dictionary isopeel = {{\n{lines}            }}\n        }}\n")
 }
 
-fn topology(mesh: &Mesh, text: &mut Vec<u8>, out: &mut dyn Write) -> Result<(), ExportError> {
-    text.extend_from_slice(b"        int[] faceVertexCounts = [");
-    for triangle in 0..mesh.triangles.len() {
-        text.extend_from_slice(if triangle == 0 { b"3" } else { b", 3" });
-        flush(text, out, PIECE_BYTES)?;
-    }
-    text.extend_from_slice(b"]\n        int[] faceVertexIndices = [");
-    for (i, corner) in mesh.triangles.as_flattened().iter().enumerate() {
-        if i > 0 {
+fn topology(mesh: &Mesh, out: &mut dyn Write) -> Result<(), ExportError> {
+    let corners = mesh.triangles.as_flattened();
+    out.write_all(b"        int[] faceVertexCounts = [")?;
+    list(mesh.triangles.len(), out, |_, text| text.push(b'3'))?;
+    out.write_all(b"]\n        int[] faceVertexIndices = [")?;
+    list(corners.len(), out, |i, text| push_whole(text, corners[i].into()))?;
+    out.write_all(b"]\n")?;
+    Ok(())
+}
+
+/// Writes items, separated by commas.
+fn list(count: usize, out: &mut dyn Write, push: impl Fn(usize, &mut Vec<u8>) + Sync) -> Result<(), ExportError> {
+    write_rows(count, out, |item, text| {
+        if item > 0 {
             text.extend_from_slice(b", ");
         }
-        push_whole(text, (*corner).into());
-        flush(text, out, PIECE_BYTES)?;
-    }
-    text.extend_from_slice(b"]\n");
+        push(item, text);
+    })?;
     Ok(())
 }
 
 /// Writes triples of numbers, separated by commas.
-fn tuples(rows: &[[f32; 3]], decimals: Decimals, text: &mut Vec<u8>, out: &mut dyn Write) -> Result<(), ExportError> {
-    for (i, row) in rows.iter().enumerate() {
-        text.extend_from_slice(if i == 0 { b"(" } else { b", (" });
-        for (axis, &component) in row.iter().enumerate() {
+fn tuples(rows: &[[f32; 3]], decimals: Decimals, out: &mut dyn Write) -> Result<(), ExportError> {
+    list(rows.len(), out, |row, text| {
+        text.push(b'(');
+        for (axis, component) in rows[row].into_iter().enumerate() {
             if axis > 0 {
                 text.extend_from_slice(b", ");
             }
             decimals.push(text, component.into());
         }
         text.push(b')');
-        flush(text, out, PIECE_BYTES)?;
-    }
-    Ok(())
+    })
 }
 
 /// Writes the colours of the vertices, or else the colour of the surface. Colours are linear, as USD defines them.
-fn colors(mesh: &Mesh, text: &mut Vec<u8>, out: &mut dyn Write) -> Result<(), ExportError> {
+fn colors(mesh: &Mesh, out: &mut dyn Write) -> Result<(), ExportError> {
     let decimals = Decimals::new(UNIT_DIGITS);
     let vertex_colors: Vec<[f32; 3]> = (mesh.colors.iter())
         .map(|color| color.map(|component| f32::from(component) / 65535.0))
@@ -201,16 +205,14 @@ fn colors(mesh: &Mesh, text: &mut Vec<u8>, out: &mut dyn Write) -> Result<(), Ex
         true => (vec![color(mesh)], "constant"),
         false => (vertex_colors, "vertex"),
     };
-    text.extend_from_slice(b"        color3f[] primvars:displayColor = [");
-    tuples(&colors, decimals, text, out)?;
+    out.write_all(b"        color3f[] primvars:displayColor = [")?;
+    tuples(&colors, decimals, out)?;
     let opacity = mesh.material.opacity;
-    text.extend(
-        format!(
-            "] (\n            interpolation = \"{interpolation}\"\n        )\n        \
-             float[] primvars:displayOpacity = [{opacity:?}] (\n            interpolation = \"constant\"\n        )\n"
-        )
-        .bytes(),
-    );
+    write!(
+        out,
+        "] (\n            interpolation = \"{interpolation}\"\n        )\n        \
+         float[] primvars:displayOpacity = [{opacity:?}] (\n            interpolation = \"constant\"\n        )\n"
+    )?;
     Ok(())
 }
 
@@ -223,34 +225,29 @@ fn color(mesh: &Mesh) -> [f32; 3] {
 }
 
 /// Writes the values of fields at the vertices. A missing value is NaN.
-fn fields(mesh: &Mesh, text: &mut Vec<u8>, out: &mut dyn Write) -> Result<(), ExportError> {
+fn fields(mesh: &Mesh, out: &mut dyn Write) -> Result<(), ExportError> {
     let names = distinct_names(mesh.fields.iter().map(|field| identifier(&field.name)), &TAKEN);
     for (field, name) in mesh.fields.iter().zip(names) {
-        text.extend(format!("        float[] primvars:{name} = [").bytes());
-        for (i, value) in field.values.iter().enumerate() {
-            if i > 0 {
-                text.extend_from_slice(b", ");
-            }
+        write!(out, "        float[] primvars:{name} = [")?;
+        list(field.values.len(), out, |vertex, text| {
+            let value = field.values[vertex];
             if value.is_nan() {
                 text.extend_from_slice(b"nan");
             } else {
                 // Cannot fail, because the target is a vector.
                 let _ = write!(text, "{value:?}");
             }
-            flush(text, out, PIECE_BYTES)?;
-        }
+        })?;
         let unit = field.unit.as_ref();
         let unit = unit.map_or(String::new(), |unit| {
             format!("                string unit = {}\n", quoted(unit))
         });
-        text.extend(
-            format!(
-                "] (\n            customData = {{\n                string field = {}\n{unit}            }}\n            \
-                 interpolation = \"vertex\"\n        )\n",
-                quoted(&field.name)
-            )
-            .bytes(),
-        );
+        write!(
+            out,
+            "] (\n            customData = {{\n                string field = {}\n{unit}            }}\n            \
+             interpolation = \"vertex\"\n        )\n",
+            quoted(&field.name)
+        )?;
     }
     Ok(())
 }

@@ -10,7 +10,8 @@ use isopeel_volumes::LengthUnit;
 use rayon::prelude::*;
 
 use super::mesh::{attribute_names, srgb_bytes};
-use super::{ExportError, Mesh, PIECE_BYTES, flush};
+use super::rows::write_rows;
+use super::{ExportError, Mesh};
 
 /// Bytes of the length before each array.
 const LENGTH_BYTES: u64 = 8;
@@ -174,9 +175,15 @@ impl Content {
             Self::Feature => out.write_all(bytemuck::cast_slice(&mesh.feature))?,
             Self::Field(number) => out.write_all(bytemuck::cast_slice(&mesh.fields[number].values))?,
             Self::Corners => out.write_all(bytemuck::cast_slice(&mesh.triangles))?,
-            Self::Colors => rows(out, mesh.colors.iter().map(|&color| srgb_bytes(color)))?,
-            Self::Positions => rows(out, (0..mesh.positions.len()).map(|vertex| mesh.world(vertex)))?,
-            Self::Ends => rows(out, (1..=mesh.triangles.len() as u32).map(|end| 3 * end))?,
+            Self::Colors => write_rows(mesh.colors.len(), out, |vertex, bytes| {
+                bytes.extend_from_slice(&srgb_bytes(mesh.colors[vertex]));
+            })?,
+            Self::Positions => write_rows(mesh.positions.len(), out, |vertex, bytes| {
+                bytes.extend_from_slice(bytemuck::bytes_of(&mesh.world(vertex)));
+            })?,
+            Self::Ends => write_rows(mesh.triangles.len(), out, |triangle, bytes| {
+                bytes.extend_from_slice(&(3 * (triangle as u32 + 1)).to_le_bytes());
+            })?,
             Self::Levels => {
                 for (level, &count) in (0u8..).zip(&mesh.level_triangles) {
                     io::copy(&mut io::Read::take(io::repeat(level), count), out)?;
@@ -245,16 +252,6 @@ fn text(name: &str, value: &str) -> String {
         "<Array type=\"String\" Name=\"{name}\" NumberOfTuples=\"1\" format=\"ascii\">{}</Array>\n",
         numbers.join(" ")
     )
-}
-
-/// Writes rows that an iterator computes.
-fn rows<T: bytemuck::NoUninit>(out: &mut dyn Write, rows: impl Iterator<Item = T>) -> Result<(), ExportError> {
-    let mut buffer = Vec::with_capacity(2 * PIECE_BYTES);
-    for row in rows {
-        buffer.extend_from_slice(bytemuck::bytes_of(&row));
-        flush(&mut buffer, out, PIECE_BYTES)?;
-    }
-    flush(&mut buffer, out, 0)
 }
 
 #[cfg(test)]

@@ -18,6 +18,7 @@ use crate::cli::output::{Output, OutputError, STDOUT};
 use crate::cli::stdin::InputPath;
 use crate::cli::surface::{SurfaceArgs, TransferFunctionError};
 use crate::export::{FileContent, FileRequest, FileSurface, Format, MadeSurface, MakeError, OtherVolumes, why_empty};
+use crate::pool;
 use crate::service::DeviceWorker;
 
 /// Arguments of `isopeel extract`.
@@ -202,8 +203,8 @@ async fn extract(args: &Args, work: Work, token: CancellationToken) -> Result<()
             statistics.triangles,
             output.path.display()
         ));
-        let written = tokio::task::spawn_blocking(move || output.write(&file, &token));
-        written.await.map_err(io::Error::from)??;
+        let written = pool::run_export(move || output.write(&file, &token));
+        written.await.map_err(MakeError::from)??;
     }
     for notice in &statistics.notices {
         eprintln!("isopeel: {notice}");

@@ -1,6 +1,6 @@
 use isopeel_extraction::JoinError;
 use isopeel_geometry::{DVec3, triangle_normal};
-use isopeel_kernels::{Level, Region, SurfaceStatistics};
+use isopeel_kernels::{Level, Region, SurfaceStatistics, Vertex};
 use isopeel_view::PointJson;
 
 use super::*;
