@@ -1,6 +1,7 @@
 /** Three steps for those who see the page for the first time. Nothing is covered or locked: the page works all the while. */
 
 import { createEffect, createSignal, onCleanup, onMount, Show, untrack } from "solid-js";
+import { allTriangles } from "../state/counts";
 import { formatCount, formatShare } from "./format";
 import { useModel, type Model } from "./model";
 import { endTour, hasTried, setStep, setTried, step } from "./tourState";
@@ -31,8 +32,9 @@ const STEPS: readonly Step[] = [
     title: "A surface, with fewer triangles",
     text: ({ viewer }) => {
       const { statistics } = viewer();
-      const share = statistics === undefined ? "a part" : formatShare(statistics.triangles / Math.max(1, statistics.fullTriangles));
-      const full = statistics === undefined ? "" : ` of ${formatCount(statistics.fullTriangles)}`;
+      const all = statistics && allTriangles(statistics);
+      const share = statistics === undefined ? "a part" : formatShare(statistics.triangles / Math.max(1, all ?? 1));
+      const full = all === undefined ? "" : ` of ${formatCount(all)}`;
       return `isopeel makes the surface inside a volume with only the triangles that show something: here ${share}${full}. Drag to turn it, scroll to zoom.`;
     },
   },
