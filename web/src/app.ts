@@ -162,10 +162,10 @@ export class App {
   }
 
   private makePipeline(): RegionPipeline {
-    const worker = new Worker(new URL("./decode/worker.ts", import.meta.url), { type: "module", name: "decode" });
-    return new RegionPipeline(worker, this.scene, {
+    return new RegionPipeline(new Worker(new URL("./decode/worker.ts", import.meta.url), { type: "module", name: "decode" }), this.scene, {
       onSwap: ({ surface, generation, level, final }) => {
         this.store.dispatch({ type: "swap", surface, generation, level, final });
+        if (this.store.look.colorBy === "field") this.showDisplay();
         this.framing.swapped();
       },
       onAnnotated: ({ surface, generation, values }) => {
@@ -262,7 +262,7 @@ export class App {
     const source = { volume: viewer.volume, step: viewer.target?.step ?? 0, field: slicing.field ?? view.field, slicing };
     this.marks.show(this.store);
     this.planes.show(slicesWanted(this.store), viewer.connection === "connected");
-    this.display.show(look, withRanges(viewer, surfaces), viewer.selected, source, shownErrors(viewer, surfaces));
+    this.display.show(look, withRanges(viewer, surfaces), viewer.selected, source, { distances: shownErrors(viewer, surfaces), known: viewer.known });
   }
 
   private receive(message: StreamMessage): void {

@@ -13,6 +13,7 @@ function displayOf() {
   const modes: string[] = [];
   const ranges: number[] = [];
   const titles: (string | undefined)[] = [];
+  const scales: (readonly [number, number])[] = [];
   const scene = {
     camera: { projection: "perspective" },
     annotations: { show: () => undefined, showColors: (bar?: { title: string }) => titles.push(bar?.title) },
@@ -24,13 +25,17 @@ function displayOf() {
     colors: {
       setAlpha: () => undefined,
       setTransfer: () => undefined,
-      setField: () => undefined,
+      setField: ({ range }: { range: readonly [number, number] }) => scales.push(range),
       setValueColors: (_low: number, high: number) => ranges.push(high),
     },
   };
   const display = new Display(scene as unknown as SurfaceRenderer, new URL("http://127.0.0.1/"), () => undefined);
-  const show = (look: Look, distances?: typeof DISTANCES) => display.show(look, SURFACES, 0, { volume: VOLUMES[0]!, step: 0, field: "depth" }, distances);
-  return { show, modes, ranges, titles };
+  const source = { volume: VOLUMES[0]!, step: 0, field: "depth" };
+  const show = (look: Look, distances?: typeof DISTANCES) => display.show(look, SURFACES, 0, source, { distances, known: new Map() });
+  /** @param shown the field whose values the vertices on screen have */
+  const showField = (colorField: string | null, shown: string | null, colorBy: Look["colorBy"] = "field") =>
+    display.show({ ...DEFAULT_LOOK, colorBy }, [{ ...SURFACES[0]!, view: { ...OPENING, colorField } }], 0, source, { distances: undefined, known: new Map([[0, { shownField: shown }]]) });
+  return { show, showField, modes, ranges, titles, scales };
 }
 
 test("colours of the error come when it is measured, and the former ones come back until it is measured again", () => {
@@ -50,6 +55,22 @@ test("colours of the error come when it is measured, and the former ones come ba
   const count = modes.length;
   show(error, { ...DISTANCES, upper: 0.5 });
   expect(modes.length).toBe(count);
+});
+
+test("colours of a field come with the values of the field", () => {
+  const { showField, modes, scales } = displayOf();
+  const [first, second] = VOLUMES[0]!.fields.map(({ name, range }) => ({ name, range }));
+  if (first === undefined || second === undefined) throw new Error("expected a volume with two fields");
+  showField(null, null, "level");
+  showField(first.name, null);
+  expect([modes.at(-1), scales]).toEqual(["level", []]);
+  showField(first.name, first.name);
+  expect([modes.at(-1), scales]).toEqual(["field", [first.range]]);
+  // The values of the first field keep its scale until those of the second have come.
+  showField(second.name, first.name);
+  expect([modes.at(-1), scales]).toEqual(["field", [first.range]]);
+  showField(second.name, second.name);
+  expect(scales).toEqual([first.range, second.range]);
 });
 
 test("the bar of the error names its ends", () => {

@@ -48,6 +48,18 @@ describe("one generation", () => {
     expect(newer.frameDue).toBe(false);
   });
 
+  test("has the values of the field that the view had when it began", () => {
+    const edit = (colorField: string): StateEvent => ({ type: "edit", edit: { colorField }, gesture: undefined });
+    const height = run(sent, swap(1, 0), edit("height"));
+    expect(height.shownField).toBe(null);
+    const begun = run(height, prefix(2, 3));
+    expect(begun.shownField).toBe(null);
+    const coarse = run(begun, swap(2, 3));
+    expect(coarse.shownField).toBe("height");
+    // The rest of it comes after the next edit.
+    expect(run(coarse, edit("depth"), prefix(2, 0), swap(2, 0)).shownField).toBe("height");
+  });
+
   test("is final on screen when its level 0 is in a frame", () => {
     expect(showsFinal(run(sent, swap(1, 3), frame(1040)))).toBe(false);
     expect(showsFinal(run(sent, swap(1, 0)))).toBe(false);

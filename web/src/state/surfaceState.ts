@@ -43,6 +43,9 @@ export interface SurfaceState {
   /** With the number of the newest generation. */
   readonly progress: Progress | undefined;
   readonly shown: ShownPrefix | undefined;
+  /** Of the newest generation, and of what is on screen: the field whose values vertices have, `null` for none; `undefined` at first. */
+  readonly madeField: View["colorField"] | undefined;
+  readonly shownField: View["colorField"] | undefined;
   /** What the server answered the last edit or `open` instead of a surface. */
   readonly refusal: Refusal | undefined;
   /** `shown` is newer than the last frame. */
@@ -59,6 +62,8 @@ export const NEW_SURFACE: SurfaceState = {
   cameraAfter: undefined,
   progress: undefined,
   shown: undefined,
+  madeField: undefined,
+  shownField: undefined,
   refusal: undefined,
   frameDue: false,
 };

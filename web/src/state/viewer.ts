@@ -128,7 +128,7 @@ export function reduceServer(state: ServerState, event: ServerEvent, viewed: Vie
     case "camera":
       return cameraSent(state, event.surfaces);
     case "message":
-      return receive(state, event.message, viewed.selected);
+      return receive(state, event.message, viewed);
     case "chunk":
       return inSurface({ ...state, bytesReceived: state.bytesReceived + event.bytes }, state.receiving, (one) => ({
         ...one,
@@ -136,7 +136,10 @@ export function reduceServer(state: ServerState, event: ServerEvent, viewed: Vie
       }));
     case "swap": {
       const { generation, level, final } = event;
-      return inSurface(state, event.surface, (one) => ({ ...one, shown: { generation, level, final }, frameDue: true }));
+      return inSurface(state, event.surface, (one) => {
+        const shownField = generation === one.progress?.generation ? one.madeField : one.shownField;
+        return { ...one, shown: { generation, level, final }, shownField, frameDue: true };
+      });
     }
     case "distances":
       return inSurface(state, event.surface, (one) => ({ ...one, answers: takeDistances(seen(state, event.surface), event.generation, event.distances) }));
@@ -185,7 +188,7 @@ function share(device: Preparation | undefined, { bytes, totalBytes }: { readonl
   return device === undefined ? bytes / Math.max(1, totalBytes) : device.done / Math.max(1, device.of);
 }
 
-function receive(state: ServerState, message: ServerMessage, selected: number): ServerState {
+function receive(state: ServerState, message: ServerMessage, viewed: Viewed): ServerState {
   switch (message.type) {
     case "opening":
       return { ...state, preparing: message.device, openedShare: share(message.device, message) };
@@ -196,13 +199,16 @@ function receive(state: ServerState, message: ServerMessage, selected: number): 
     case "described":
       return state.volume?.id === message.volume.id ? { ...state, volume: message.volume } : state;
     case "prefix":
-      return inSurface({ ...state, receiving: message.surface }, message.surface, (one) => begun(one, message.generation, state));
+      return inSurface({ ...state, receiving: message.surface }, message.surface, (one) => {
+        const madeField = message.generation === one.progress?.generation ? one.madeField : viewOf(viewed, message.surface)?.colorField;
+        return { ...begun(one, message.generation, state), madeField };
+      });
     case "done":
       return inSurface(state, message.surface, (one) => finished(one, message));
     case "measured":
       return inSurface(state, message.surface, (one) => measured(one, message));
     case "error":
-      return isAboutQuestion(message) ? state : refused(state, message, selected);
+      return isAboutQuestion(message) ? state : refused(state, message, viewed.selected);
     case "removed":
       // If there is a surface of that number, the user has made it again.
       return inSurface(state, message.surface, (one) => ({ ...NEW_SURFACE, sentView: one.sentView, working: true }));

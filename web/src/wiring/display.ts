@@ -11,6 +11,7 @@ import { VolumeDisplay } from "./volumeDisplay";
 import type { Distances } from "../state/distances";
 import { lengthUnit, unitWord } from "../state/lengths";
 import type { ColorBy, Look } from "../state/look";
+import type { SurfaceState } from "../state/surfaceState";
 import { coloredByLook, type Surface, type SurfaceList } from "../state/surfaceList";
 import { LEVEL_COLORS, mappedLut, rampLut, transferLut } from "../transfer/lut";
 import { IDENTITY } from "../transfer/model";
@@ -81,15 +82,30 @@ function isRescaled(look: Look, before: Look): boolean {
   return look.colorRange !== before.colorRange || look.logColors !== before.logColors || look.isolines !== before.isolines;
 }
 
+/** Values that the vertices on screen have. */
+interface ShownValues {
+  /** Distances of the surfaces that have the colours of the look, as soon as they are known. */
+  readonly distances: Distances | undefined;
+  /** By the numbers of surfaces: the field of each. */
+  readonly known: ReadonlyMap<number, Pick<SurfaceState, "shownField">>;
+}
+
+/** Whether the vertices on screen have the values of the field that colours of mode `field` are of. They always have the feature. */
+function isFieldShown({ number, view }: Surface, known: ShownValues["known"]): boolean {
+  return view.colorField === null || view.colorField === known.get(number)?.shownField;
+}
+
 export class Display {
   /** The requested look, and the part of it that is shown. */
   private wanted: Look | undefined;
   private look: Look | undefined;
   private distances: Distances | undefined;
-  /** What colours stood for before distances were asked for: they stand for it until these are known. */
+  /** What colours stood for before values of vertices were asked for: they stand for it until these are known. */
   private otherColors: ColorBy = "material";
   /** What the scene shows for each surface. */
   private readonly shown = new Map<number, Surface>();
+  /** Vertices do not have the values that the requested colours stand for. */
+  private awaits = false;
   /** What the colour bar says: control points, the field that matters and its range, the volume. */
   private bar: readonly unknown[] | undefined;
   /** Scales of the fields of surfaces. */
@@ -109,18 +125,20 @@ export class Display {
     this.volume = new VolumeDisplay(scene, base, onError);
   }
 
-  /**
-   * An unchanged display costs no frame, which would delay the one that is waited for.
-   * @param distances those of the surfaces that have the colours of the look, as soon as they are known
-   */
-  show(wanted: Look, surfaces: SurfaceList, selected: number, source: SliceSource, distances: Distances | undefined): void {
+  /** An unchanged display costs no frame, which would delay the one that is waited for. */
+  show(wanted: Look, surfaces: SurfaceList, selected: number, source: SliceSource, { distances, known }: ShownValues): void {
     const before = this.look;
-    const look = this.lookFor(wanted, distances !== undefined);
+    const colored = coloredByLook(surfaces, selected);
+    const legend = colored?.view;
+    const hasField = before?.colorBy === "field" || colored === undefined || isFieldShown(colored, known);
+    const look = this.lookFor(wanted, (wanted.colorBy === "error" && distances === undefined) || (wanted.colorBy === "field" && !hasField));
     if (look !== before) this.showLook(look, before);
     const isRecolored = look.colorBy !== before?.colorBy || look.map !== before.map || isRescaled(look, before) || distances?.upper !== this.distances?.upper;
     [this.wanted, this.look, this.distances] = [wanted, look, distances];
-    const legend = coloredByLook(surfaces, selected)?.view;
-    for (const surface of surfaces) this.showSurface(look, surface, isRecolored, legend, source.volume);
+    for (const surface of surfaces) {
+      this.showSurface(look, surface, isRecolored);
+      if (look.colorBy === "field" && isFieldShown(surface, known)) this.showField(look, surface, legend, source.volume);
+    }
     this.hideOthers(surfaces);
     if (distances !== undefined && isRecolored) this.scene.colors.setValueColors(0, distances.upper, colorTable(DISTANCE_COLORS));
     this.showColorBar(look, legend, source.volume, isRecolored);
@@ -153,20 +171,19 @@ export class Display {
     if (scene.camera.projection !== projection) scene.camera.projection = projection;
   }
 
-  /** The look; with the former colours if it is to show distances and they are not known. */
-  private lookFor(wanted: Look, isMeasured: boolean): Look {
-    if (wanted.colorBy !== "error") this.otherColors = wanted.colorBy;
-    if (this.look !== undefined && wanted === this.wanted && isMeasured === (this.distances !== undefined)) return this.look;
-    return wanted.colorBy === "error" && !isMeasured ? { ...wanted, colorBy: this.otherColors } : wanted;
+  /** The look; with the former colours if vertices do not have the values yet that it is to show. */
+  private lookFor(wanted: Look, awaits: boolean): Look {
+    if (wanted.colorBy !== "error" && !awaits) this.otherColors = wanted.colorBy;
+    if (this.look !== undefined && wanted === this.wanted && awaits === this.awaits) return this.look;
+    this.awaits = awaits;
+    return awaits ? { ...wanted, colorBy: this.otherColors } : wanted;
   }
 
-  private showSurface(look: Look, surface: Surface, isRecolored: boolean, legend: View | undefined, volume: VolumeInfo | undefined): void {
+  private showSurface(look: Look, surface: Surface, isRecolored: boolean): void {
     const { number, view, style } = surface;
     const before = this.shown.get(number);
     this.shown.set(number, surface);
     const { points } = view.transferFunction;
-    const field = fieldScaleOf(look, view, volume, legend) ?? this.scaleOfSurface(number, look, view);
-    if (look.colorBy === "field" && field !== undefined) this.showField(number, field);
     const isChanged = points !== before?.view.transferFunction.points || view.interest !== before.view.interest;
     if (isRecolored || isChanged) this.scene.colors.setTransfer(tableOf(look, points), number, regionsOf(look, view.interest));
     if (style !== before?.style) this.scene.setSurfaceStyle(number, style);
@@ -175,13 +192,16 @@ export class Display {
   }
 
   /** The values on the surface as the range of an expression whose range is not known. */
-  private scaleOfSurface(number: number, look: Look, view: View): FieldScale | undefined {
-    if (look.colorBy !== "field" || view.colorField === null) return undefined;
+  private scaleOfSurface({ number, view }: Surface): FieldScale | undefined {
+    if (view.colorField === null) return undefined;
     const range = this.scene.colors.span(number, "values");
     return range && range[0] < range[1] ? { ofValues: true, known: range, range, log: false, lines: [] } : undefined;
   }
 
-  private showField(number: number, scale: FieldScale): void {
+  private showField(look: Look, surface: Surface, legend: View | undefined, volume: VolumeInfo | undefined): void {
+    const { number, view } = surface;
+    const scale = fieldScaleOf(look, view, volume, legend) ?? this.scaleOfSurface(surface);
+    if (scale === undefined) return;
     const field = { ...scale, lines: linePlaces(scale) };
     if (isEqual(this.fields.get(number), field)) return;
     this.fields.set(number, field);
