@@ -216,6 +216,12 @@ fn repair_notices(mesh: &Mesh, cleaned: &Cleaned) -> Vec<String> {
             "{count} edges between nearly coplanar triangles were flipped, after the error was measured"
         ));
     }
+    let count = cleaned.unflipped_edges;
+    if count > 0 {
+        notices.push(format!(
+            "{count} edges between nearly coplanar triangles could not be flipped: TetGen may refuse the surface"
+        ));
+    }
     notices
 }
 

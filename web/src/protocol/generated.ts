@@ -101,6 +101,8 @@ export type Cleaned = {
   largestMove: number,
   /** Edges between nearly coplanar triangles that were flipped, so that mesh generators flip none. */
   flippedEdges: number,
+  /** Such edges that `clean` could not flip. TetGen may end with an error there. */
+  unflippedEdges: number,
 };
 
 /** A text frame from a client. */

@@ -113,6 +113,17 @@ pub(super) fn flip_flat_edges(positions: &[[f64; 3]], triangles: &mut [[u32; 3]]
     flips
 }
 
+/// Counts the edges between nearly coplanar triangles that are not locally Delaunay.
+pub(super) fn count(positions: &[[f64; 3]], triangles: &[[u32; 3]]) -> u64 {
+    let edges = Edges::new(triangles);
+    let all = triangles.iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]);
+    let pairs = all
+        .filter(|[from, to]| from < to)
+        .filter_map(|edge| edges.pair(triangles, edge));
+    let quads = pairs.map(|pair| pair.corners.map(|corner| positions[corner as usize]));
+    quads.filter(is_flipped).count() as u64
+}
+
 fn sorted([a, b]: [u32; 2]) -> [u32; 2] {
     [a.min(b), a.max(b)]
 }
@@ -208,6 +219,7 @@ mod tests {
             assert!(triangle_normal(corners).z > 0.0, "{triangle:?}");
         }
         assert_eq!(flip_flat_edges(&kite, &mut triangles), Flips::default());
+        assert_eq!(count(&kite, &triangles), 0);
     }
 
     #[test]
@@ -232,6 +244,7 @@ mod tests {
         let before = triangles;
         let flips = flip_flat_edges(&positions, &mut triangles);
         assert_eq!((flips.flipped, flips.blocked), (0, vec![[0, 1]]));
+        assert_eq!(count(&positions, &triangles), 1);
         assert_eq!(triangles, before);
     }
 
