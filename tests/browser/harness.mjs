@@ -36,7 +36,7 @@ const TEST_FLAGS = process.env.BROWSER_TESTS === "all" ? CHROMIUM_FLAGS : [...CH
 export const TIMEOUT_MS = 60_000;
 
 /** A NumPy file, C order with x fastest. */
-function npy([nx, ny, nz], value) {
+export function npy([nx, ny, nz], value) {
   const dict = `{'descr': '<f4', 'fortran_order': False, 'shape': (${nz}, ${ny}, ${nx}), }`;
   const header = dict.padEnd(Math.ceil((dict.length + 11) / 64) * 64 - 11) + "\n";
   const bytes = Buffer.alloc(10 + header.length + 4 * nx * ny * nz);
