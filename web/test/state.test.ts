@@ -56,6 +56,8 @@ describe("one generation", () => {
     expect(begun.shownField).toBe(null);
     const coarse = run(begun, swap(2, 3));
     expect(coarse.shownField).toBe("height");
+    // It is shown after the next generation has begun.
+    expect(run(begun, edit("depth"), prefix(3, 3), swap(2, 3)).shownField).toBe("height");
     // The rest of it comes after the next edit.
     expect(run(coarse, edit("depth"), prefix(2, 0), swap(2, 0)).shownField).toBe("height");
   });

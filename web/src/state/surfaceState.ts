@@ -43,8 +43,9 @@ export interface SurfaceState {
   /** With the number of the newest generation. */
   readonly progress: Progress | undefined;
   readonly shown: ShownPrefix | undefined;
-  /** Of the newest generation, and of what is on screen: the field whose values vertices have, `null` for none; `undefined` at first. */
-  readonly madeField: View["colorField"] | undefined;
+  /** By the numbers of generations that are on screen or on their way: the field whose values vertices have, `null` for none. */
+  readonly madeFields: ReadonlyMap<number, View["colorField"]>;
+  /** That of what is on screen; `undefined` at first. */
   readonly shownField: View["colorField"] | undefined;
   /** What the server answered the last edit or `open` instead of a surface. */
   readonly refusal: Refusal | undefined;
@@ -62,7 +63,7 @@ export const NEW_SURFACE: SurfaceState = {
   cameraAfter: undefined,
   progress: undefined,
   shown: undefined,
-  madeField: undefined,
+  madeFields: new Map(),
   shownField: undefined,
   refusal: undefined,
   frameDue: false,

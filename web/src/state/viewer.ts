@@ -137,8 +137,8 @@ export function reduceServer(state: ServerState, event: ServerEvent, viewed: Vie
     case "swap": {
       const { generation, level, final } = event;
       return inSurface(state, event.surface, (one) => {
-        const shownField = generation === one.progress?.generation ? one.madeField : one.shownField;
-        return { ...one, shown: { generation, level, final }, shownField, frameDue: true };
+        const madeFields = new Map([...one.madeFields].filter(([made]) => made >= generation));
+        return { ...one, shown: { generation, level, final }, madeFields, shownField: madeFields.get(generation) ?? null, frameDue: true };
       });
     }
     case "distances":
@@ -200,8 +200,9 @@ function receive(state: ServerState, message: ServerMessage, viewed: Viewed): Se
       return state.volume?.id === message.volume.id ? { ...state, volume: message.volume } : state;
     case "prefix":
       return inSurface({ ...state, receiving: message.surface }, message.surface, (one) => {
-        const madeField = message.generation === one.progress?.generation ? one.madeField : viewOf(viewed, message.surface)?.colorField;
-        return { ...begun(one, message.generation, state), madeField };
+        const { generation } = message;
+        const field = one.madeFields.has(generation) ? one.madeFields.get(generation) : viewOf(viewed, message.surface)?.colorField;
+        return { ...begun(one, generation, state), madeFields: new Map([...one.madeFields, [generation, field ?? null]]) };
       });
     case "done":
       return inSurface(state, message.surface, (one) => finished(one, message));
@@ -237,7 +238,9 @@ function opened(state: ServerState, { volume, device, capabilities }: Extract<Se
   const now = { ...state, ...ANSWERED, volume, stepLabel, device, questions, watches, groups, maxSurfaces: surfaces, isLedByCamera: false };
   if (state.volume?.id !== volume.id) return { ...now, known: FIRST_SERVER.known };
   // Another step replaces a surface when it arrives, another volume at once.
-  return everySurface(now, (one) => ({ ...one, sentView: undefined, answers: outdated(one.answers), progress: undefined, finished: undefined, cameraAfter: undefined }));
+  // The numbers of generations begin again with a connection.
+  const again = { sentView: undefined, madeFields: NEW_SURFACE.madeFields, progress: undefined, finished: undefined, cameraAfter: undefined };
+  return everySurface(now, (one) => ({ ...one, ...again, answers: outdated(one.answers) }));
 }
 
 /** After a time step, all surfaces are computed again; each is replaced when it arrives. */
