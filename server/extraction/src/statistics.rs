@@ -101,7 +101,6 @@ pub struct Cleaned {
     /// Edges between nearly coplanar triangles that were flipped, so that mesh generators flip none.
     pub flipped_edges: u64,
     /// Such edges that `clean` could not flip. TetGen may end with an error there.
-    #[serde(default)]
     pub unflipped_edges: u64,
 }
 

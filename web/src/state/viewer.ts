@@ -94,6 +94,9 @@ const SERVER_EVENTS: readonly string[] = ["connection", "volumes", "sent", "came
 
 export const isOfServer = (event: { readonly type: string }): event is ServerEvent => SERVER_EVENTS.includes(event.type);
 
+/** Generations of a surface whose fields are remembered until they are on screen. Two can be on their way, and others may have begun between them. */
+const REMEMBERED_FIELDS = 32;
+
 /** What of an `open` is in the state after its answer. */
 const ANSWERED = { opening: false, openedShare: undefined, preparing: undefined } as const;
 
@@ -202,7 +205,7 @@ function receive(state: ServerState, message: ServerMessage, viewed: Viewed): Se
       return inSurface({ ...state, receiving: message.surface }, message.surface, (one) => {
         const { generation } = message;
         const field = one.madeFields.has(generation) ? one.madeFields.get(generation) : viewOf(viewed, message.surface)?.colorField;
-        return { ...begun(one, generation, state), madeFields: new Map([...one.madeFields, [generation, field ?? null]]) };
+        return { ...begun(one, generation, state), madeFields: new Map([...one.madeFields, [generation, field ?? null] as const].slice(-REMEMBERED_FIELDS)) };
       });
     case "done":
       return inSurface(state, message.surface, (one) => finished(one, message));

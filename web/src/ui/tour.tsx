@@ -26,16 +26,16 @@ const TRIED_RADIUS = 0.1;
 /** Of the rest: what its importance becomes. */
 const REST = 0.1;
 
+const partOf = (triangles: number, all: number) => `${formatShare(triangles / Math.max(1, all))} of ${formatCount(all)}`;
+
 const STEPS: readonly Step[] = [
   {
     at: "picture",
     title: "A surface, with fewer triangles",
     text: ({ viewer }) => {
       const { statistics } = viewer();
-      const all = statistics && allTriangles(statistics);
-      const share = statistics === undefined ? "a part" : formatShare(statistics.triangles / Math.max(1, all ?? 1));
-      const full = all === undefined ? "" : ` of ${formatCount(all)}`;
-      return `isopeel makes the surface inside a volume with only the triangles that show something: here ${share}${full}. Drag to turn it, scroll to zoom.`;
+      const part = statistics === undefined ? "a part" : partOf(statistics.triangles, allTriangles(statistics));
+      return `isopeel makes the surface inside a volume with only the triangles that show something: here ${part}. Drag to turn it, scroll to zoom.`;
     },
   },
   {

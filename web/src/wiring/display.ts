@@ -104,8 +104,6 @@ export class Display {
   private otherColors: ColorBy = "material";
   /** What the scene shows for each surface. */
   private readonly shown = new Map<number, Surface>();
-  /** Vertices do not have the values that the requested colours stand for. */
-  private awaits = false;
   /** What the colour bar says: control points, the field that matters and its range, the volume. */
   private bar: readonly unknown[] | undefined;
   /** Scales of the fields of surfaces. */
@@ -125,7 +123,10 @@ export class Display {
     this.volume = new VolumeDisplay(scene, base, onError);
   }
 
-  /** An unchanged display costs no frame, which would delay the one that is waited for. */
+  /**
+   * An unchanged display costs no frame, which would delay the one that is waited for. If colours are those of a field, this is called when
+   * meshes change too, so that colours and values change in the same frame.
+   */
   show(wanted: Look, surfaces: SurfaceList, selected: number, source: SliceSource, { distances, known }: ShownValues): void {
     const before = this.look;
     const colored = coloredByLook(surfaces, selected);
@@ -174,8 +175,8 @@ export class Display {
   /** The look; with the former colours if vertices do not have the values yet that it is to show. */
   private lookFor(wanted: Look, awaits: boolean): Look {
     if (wanted.colorBy !== "error" && !awaits) this.otherColors = wanted.colorBy;
-    if (this.look !== undefined && wanted === this.wanted && awaits === this.awaits) return this.look;
-    this.awaits = awaits;
+    // The look that was requested is shown itself unless its values were missing.
+    if (this.look !== undefined && wanted === this.wanted && awaits === (this.look !== wanted)) return this.look;
     return awaits ? { ...wanted, colorBy: this.otherColors } : wanted;
   }
 

@@ -75,14 +75,14 @@ pub(super) fn flip_flat_edges(positions: &[[f64; 3]], triangles: &mut [[u32; 3]]
     let mut blocked = Vec::new();
     let mut removed = FxHashSet::default();
     let mut stack: Vec<[u32; 2]> = (triangles.iter().rev())
-        .flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]])
+        .flat_map(edges_of)
         .filter(|[from, to]| from < to)
         .collect();
     while let Some(edge) = stack.pop() {
         let Some(pair) = edges.pair(triangles, edge) else {
             continue;
         };
-        let quad = pair.corners.map(|corner| positions[corner as usize]);
+        let quad = pair.quad(positions);
         if !is_flipped(&quad) {
             continue;
         }
@@ -101,9 +101,8 @@ pub(super) fn flip_flat_edges(positions: &[[f64; 3]], triangles: &mut [[u32; 3]]
         let Some(pair) = edges.pair(triangles, edge) else {
             continue;
         };
-        let quad = pair.corners.map(|corner| positions[corner as usize]);
         let [_, _, c, d] = pair.corners;
-        if is_blocked(&quad, || edges.exist([c, d])) {
+        if is_blocked(&pair.quad(positions), || edges.exist([c, d])) {
             let [first, second] = pair.triangles;
             flips.blocked.push([first.min(second), first.max(second)]);
         }
@@ -116,12 +115,14 @@ pub(super) fn flip_flat_edges(positions: &[[f64; 3]], triangles: &mut [[u32; 3]]
 /// Counts the edges between nearly coplanar triangles that are not locally Delaunay.
 pub(super) fn count(positions: &[[f64; 3]], triangles: &[[u32; 3]]) -> u64 {
     let edges = Edges::new(triangles);
-    let all = triangles.iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]);
-    let pairs = all
-        .filter(|[from, to]| from < to)
-        .filter_map(|edge| edges.pair(triangles, edge));
-    let quads = pairs.map(|pair| pair.corners.map(|corner| positions[corner as usize]));
-    quads.filter(is_flipped).count() as u64
+    let all = triangles.iter().flat_map(edges_of).filter(|[from, to]| from < to);
+    let pairs = all.filter_map(|edge| edges.pair(triangles, edge));
+    pairs.filter(|pair| is_flipped(&pair.quad(positions))).count() as u64
+}
+
+/// Returns the directed edges of a triangle.
+fn edges_of(&[a, b, c]: &[u32; 3]) -> [[u32; 2]; 3] {
+    [[a, b], [b, c], [c, a]]
 }
 
 fn sorted([a, b]: [u32; 2]) -> [u32; 2] {
@@ -141,14 +142,20 @@ struct Pair {
     corners: [u32; 4],
 }
 
+impl Pair {
+    fn quad(&self, positions: &[[f64; 3]]) -> Quad {
+        self.corners.map(|corner| positions[corner as usize])
+    }
+}
+
 /// Triangle of each directed edge.
 struct Edges(FxHashMap<[u32; 2], u32>);
 
 impl Edges {
     fn new(triangles: &[[u32; 3]]) -> Self {
         let mut edges = FxHashMap::with_capacity_and_hasher(3 * triangles.len(), rustc_hash::FxBuildHasher);
-        for (triangle, &[a, b, c]) in (0u32..).zip(triangles) {
-            for edge in [[a, b], [b, c], [c, a]] {
+        for (triangle, corners) in (0u32..).zip(triangles) {
+            for edge in edges_of(corners) {
                 edges
                     .entry(edge)
                     .and_modify(|triangle| *triangle = SEVERAL)
