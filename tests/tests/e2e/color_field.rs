@@ -158,7 +158,7 @@ async fn probes_have_the_values_of_the_colours() {
 
     let expression = "linear*linear + 3";
     viewer.edit(json!({"colorField": expression})).await;
-    // The largest value, because the rounding of positions changes it least, as a share.
+    // The vertex with the largest value, where the relative change by rounded positions is small.
     let vertices = viewer
         .shown
         .values()
