@@ -76,7 +76,7 @@ impl Workspace {
         volume: &VolumeStep,
         view: &View,
         making: Making,
-        cancel: &dyn Cancel,
+        cancel: &(dyn Cancel + Sync),
     ) -> Result<Extraction, WorkError> {
         let mut view = view.clone();
         if let (Some(Budget::Bytes(bytes)), None) = (view.budget, view.fitted) {
@@ -117,7 +117,7 @@ impl Workspace {
         view: &View,
         budget: u64,
         ceiling: u64,
-        cancel: &dyn Cancel,
+        cancel: &(dyn Cancel + Sync),
     ) -> Result<Fitted, WorkError> {
         let mut search = ByteSearch::new(budget);
         let making = Making {
@@ -136,10 +136,10 @@ impl Workspace {
             let Some(fitted) = search.new_fit(&extraction.view) else {
                 break;
             };
-            // Encoding is not cancelled, because it takes less time than making the surface.
-            let bytes = encoded_bytes(&extraction.surface, &|| false)
-                .inspect_err(|error| tracing::error!(%error, "a surface could not be encoded"));
-            let bytes = bytes.ok().flatten().ok_or(WorkError::Stopped)?;
+            let bytes = encoded_bytes(&extraction.surface, &|| cancel.is_cancelled())
+                .inspect_err(|error| tracing::error!(%error, "a surface could not be encoded"))
+                .map_err(|_| WorkError::Stopped)?;
+            let bytes = bytes.ok_or(WorkError::Cancelled)?;
             search.add(fitted, Trial::new(&extraction.surface, bytes));
         }
         search.end()
