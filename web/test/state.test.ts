@@ -8,8 +8,8 @@ import { CAPABILITIES, OPENING, statistics, VOLUMES } from "./fixture";
 const message = (message: ServerMessage): StateEvent => ({ type: "message", message });
 const opened = (id: string) =>
   message({ type: "opened", volume: VOLUMES.find((v) => v.id === id)!, step: 0, edit: OPENING, device: "Fixture", capabilities: CAPABILITIES });
-const prefix = (generation: number, level: number) => 
-  message({ type: "prefix", surface: 0, generation, level, kind: "cut", mesher: "dual", regions: 1, unchanged: 0, triangles: 1, final: level === 0 });
+const prefix = (generation: number, level: number, colorField?: string) =>
+  message({ type: "prefix", surface: 0, generation, level, kind: "cut", mesher: "dual", regions: 1, unchanged: 0, triangles: 1, ...(colorField !== undefined && { colorField }), final: level === 0 });
 const done = (generation: number) => message({ type: "done", trace: "00000000000000ab", surface: 0, generation, statistics: statistics(100) });
 const swap = (generation: number, level: number): StateEvent => ({ type: "swap", surface: 0, generation, level, final: level === 0 });
 const frame = (at: number): StateEvent => ({ type: "frame", at });
@@ -48,18 +48,18 @@ describe("one generation", () => {
     expect(newer.frameDue).toBe(false);
   });
 
-  test("has the values of the field that the view had when it began", () => {
+  test("has the values of the field that its prefix names, whatever the view has meanwhile", () => {
     const edit = (colorField: string): StateEvent => ({ type: "edit", edit: { colorField }, gesture: undefined });
-    const height = run(sent, swap(1, 0), edit("height"));
-    expect(height.shownField).toBe(null);
-    const begun = run(height, prefix(2, 3));
+    const shown = run(sent, swap(1, 0), edit("height"), edit("depth"));
+    expect(shown.shownField).toBe(null);
+    const begun = run(shown, prefix(2, 3, "height"));
     expect(begun.shownField).toBe(null);
-    const coarse = run(begun, swap(2, 3));
-    expect(coarse.shownField).toBe("height");
+    expect(run(begun, swap(2, 3)).shownField).toBe("height");
     // It is shown after the next generation has begun.
-    expect(run(begun, edit("depth"), prefix(3, 3), swap(2, 3)).shownField).toBe("height");
-    // The rest of it comes after the next edit.
-    expect(run(coarse, edit("depth"), prefix(2, 0), swap(2, 0)).shownField).toBe("height");
+    const next = run(begun, prefix(3, 3, "depth"), swap(2, 3));
+    expect(next.shownField).toBe("height");
+    expect(run(next, swap(3, 3)).shownField).toBe("depth");
+    expect(run(next, swap(3, 3), prefix(4, 0), swap(4, 0)).shownField).toBe(null);
   });
 
   test("is final on screen when its level 0 is in a frame", () => {

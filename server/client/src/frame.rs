@@ -122,7 +122,7 @@ pub enum Frame {
 }
 
 /// Contents of `prefix`.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 #[expect(missing_docs, reason = "the protocol defines the fields")]
 pub struct Prefix {
@@ -134,6 +134,8 @@ pub struct Prefix {
     pub regions: usize,
     pub unchanged: usize,
     pub triangles: usize,
+    #[serde(rename = "colorField")]
+    pub color_field: Option<String>,
     #[serde(rename = "final")]
     pub is_final: bool,
 }

@@ -47,6 +47,8 @@ pub struct Surface {
     stage: Stage,
     /// Mesher of the prefix that was committed last.
     mesher: Option<Mesher>,
+    /// See [`Surface::color_field`].
+    color_field: Option<String>,
 }
 
 impl Surface {
@@ -58,6 +60,11 @@ impl Surface {
     /// Returns the number of shown triangles.
     pub fn triangles(&self) -> usize {
         self.shown.values().map(|chunk| chunk.triangles.len()).sum()
+    }
+
+    /// Returns the field whose values the shown meshes have if the client reads values; `None` without one.
+    pub fn color_field(&self) -> Option<&str> {
+        self.color_field.as_deref()
     }
 
     /// Returns whether all frames that follow at rest have arrived.
@@ -186,7 +193,7 @@ impl Surface {
         ))
     }
 
-    pub(crate) fn on_prefix(&mut self, announced: Prefix) -> Result<(), Error> {
+    pub(crate) fn on_prefix(&mut self, announced: &Prefix) -> Result<(), Error> {
         let is_new = self.start(announced.generation)?;
         let allowed = match self.stage {
             Stage::Improving { .. } => announced.is_final,
@@ -231,6 +238,7 @@ impl Surface {
             })?;
         }
         self.check_triangles(Some(announced.triangles as u64))?;
+        self.color_field = announced.color_field;
         self.stage = match self.stage {
             Stage::Improving { .. } => Stage::Improving { committed: true },
             _ => Stage::Running {

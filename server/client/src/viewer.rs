@@ -100,10 +100,10 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Viewer<S> {
                 self.pending = None;
                 Ok(())
             }
-            Frame::Prefix(announced) => {
+            Frame::Prefix(ref announced) => {
                 ensure(self.pending.is_none(), || format!("inside another prefix: {frame:?}"))?;
                 self.pending = Some(Pending {
-                    announced,
+                    announced: announced.clone(),
                     chunks: Meshes::new(),
                 });
                 self.surface(announced.surface).on_prefix(announced)
@@ -211,10 +211,11 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Viewer<S> {
         ensure(is_change, || format!("no change of what the client holds: {frame:?}"))?;
         let outside = || Error::Violation(format!("outside a prefix: {frame:?}"));
         let pending = self.pending.as_mut().ok_or_else(outside)?;
-        let announced = pending.announced;
+        let announced = &pending.announced;
         let is_of_prefix = (chunk.surface, chunk.generation, chunk.prefix_level)
             == (announced.surface, announced.generation, announced.level);
-        ensure(is_of_prefix, || format!("{frame:?} in {announced:?}"))?;
+        let names_values = chunk.values.is_none() || announced.color_field.is_some();
+        ensure(is_of_prefix && names_values, || format!("{frame:?} in {announced:?}"))?;
         let before = pending.chunks.insert(chunk.region, chunk);
         ensure(before.is_none(), || format!("a region twice in one prefix: {frame:?}"))?;
         Ok(frame)

@@ -333,6 +333,10 @@ pub enum ServerMessage {
         unchanged: usize,
         /// Triangles of the whole surface once this prefix is committed.
         triangles: u64,
+        /// Field whose values chunks with values have.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        #[cfg_attr(test, ts(optional))]
+        color_field: Option<String>,
         /// Whether this is the final surface of the edit.
         #[serde(rename = "final")]
         is_final: bool,

@@ -120,6 +120,7 @@ async fn a_field_for_colours_adds_values_and_changes_nothing_else() {
         assert_eq!(statistics_of_cut(&colored), statistics_of_cut(&plain), "{on}");
         expect_same_chunks(&viewer.shown, &before, &on);
         expect_linear(&viewer.shown, &on);
+        assert_eq!(viewer.surfaces[0].color_field(), Some("linear"), "{on}");
 
         viewer.edit(json!({"colorField": "depth*0 + 7"})).await;
         expect_same_chunks(&viewer.shown, &before, &on);
@@ -136,6 +137,7 @@ async fn a_field_for_colours_adds_values_and_changes_nothing_else() {
         assert_eq!(statistics_of_cut(&without), statistics_of_cut(&plain), "{on}");
         expect_same_chunks(&viewer.shown, &before, &on);
         assert!(viewer.shown.values().all(|chunk| chunk.values.is_none()), "{on}");
+        assert_eq!(viewer.surfaces[0].color_field(), None, "{on}");
         viewer.edit(json!({"mesher": "dual", "minPart": 0})).await;
     }
     viewer.close().await;

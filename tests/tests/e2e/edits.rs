@@ -209,11 +209,11 @@ async fn a_new_surface_is_seen_before_its_budget_is_found() {
         .log
         .iter()
         .filter_map(|frame| match frame {
-            Frame::Prefix(prefix) if prefix.generation == generation => Some(*prefix),
+            Frame::Prefix(prefix) if prefix.generation == generation => Some(prefix.clone()),
             _ => None,
         })
         .collect();
-    let (first, last) = (prefixes[0], prefixes[prefixes.len() - 1]);
+    let (first, last) = (&prefixes[0], &prefixes[prefixes.len() - 1]);
     if is_cpu {
         assert!(!first.is_final && first.level > 0, "{prefixes:?}");
         assert!((first.triangles as u64) < budget / 4, "{prefixes:?}");

@@ -42,7 +42,7 @@ async fn slow_line(server: SocketAddr) -> TcpStream {
 /// The prefixes of the surface that is shown.
 fn prefixes(viewer: &Viewer) -> Vec<Prefix> {
     let of_surface = |frame: &Frame| match frame {
-        Frame::Prefix(prefix) if prefix.generation == viewer.generation() => Some(*prefix),
+        Frame::Prefix(prefix) if prefix.generation == viewer.generation() => Some(prefix.clone()),
         _ => None,
     };
     viewer.log.iter().filter_map(of_surface).collect()

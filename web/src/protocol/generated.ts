@@ -676,6 +676,8 @@ export type ServerMessage = { "type": "opening",
   unchanged: number,
   /** Triangles of the whole surface once this prefix is committed. */
   triangles: number,
+  /** Field whose values chunks with values have. */
+  colorField?: string,
   /** Whether this is the final surface of the edit. */
   final: boolean,
 } | { "type": "committed",

@@ -203,9 +203,8 @@ function receive(state: ServerState, message: ServerMessage, viewed: Viewed): Se
       return state.volume?.id === message.volume.id ? { ...state, volume: message.volume } : state;
     case "prefix":
       return inSurface({ ...state, receiving: message.surface }, message.surface, (one) => {
-        const { generation } = message;
-        const field = one.madeFields.has(generation) ? one.madeFields.get(generation) : viewOf(viewed, message.surface)?.colorField;
-        return { ...begun(one, generation, state), madeFields: new Map([...one.madeFields, [generation, field ?? null] as const].slice(-REMEMBERED_FIELDS)) };
+        const { generation, colorField = null } = message;
+        return { ...begun(one, generation, state), madeFields: new Map([...one.madeFields, [generation, colorField] as const].slice(-REMEMBERED_FIELDS)) };
       });
     case "done":
       return inSurface(state, message.surface, (one) => finished(one, message));

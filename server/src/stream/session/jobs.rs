@@ -234,6 +234,7 @@ impl<B: Backend> Session<B> {
         let (surface, mesher) = (generation.surface, generation.view.mesher);
         match done {
             PoolDone::Compared(Ok(changes)) => {
+                let color_field = generation.view.color_field.clone();
                 let Some(sent) = generation.sent() else { return };
                 let message = ServerMessage::Prefix {
                     surface,
@@ -244,6 +245,7 @@ impl<B: Backend> Session<B> {
                     regions: changes.changed.len(),
                     unchanged: changes.unchanged,
                     triangles: sent.surface_triangles,
+                    color_field,
                     is_final: sent.is_final,
                 };
                 generation.record_comparison(changes);

@@ -149,11 +149,12 @@ fn server_messages_have_the_names_of_the_protocol_page() {
         regions: 7,
         unchanged: 9,
         triangles: 1000,
+        color_field: Some("log(t1)".to_owned()),
         is_final: false,
     };
     expect(
         prefix,
-        r#"{"type":"prefix","surface":0,"generation":3,"level":2,"kind":"cut","mesher":"marching-cubes","regions":7,"unchanged":9,"triangles":1000,"final":false}"#,
+        r#"{"type":"prefix","surface":0,"generation":3,"level":2,"kind":"cut","mesher":"marching-cubes","regions":7,"unchanged":9,"triangles":1000,"colorField":"log(t1)","final":false}"#,
     );
     let committed = ServerMessage::Committed {
         surface: 0,
