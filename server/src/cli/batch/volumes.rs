@@ -24,6 +24,7 @@ use crate::cli::jobs::{empty_ones, progress_bar};
 use crate::cli::output::{Output, OutputError, WrittenFile};
 use crate::export::{self, FileContent, FileRequest, Format, OtherVolumes};
 use crate::jobs::{Cause, ExtractionState, MAX_ATTEMPTS, MakeFailure, ManifestEntry, failure};
+use crate::pool;
 use crate::service::DeviceWorker;
 
 /// Number of concurrent surfaces. While the device makes one, the previous file is written, or the next volume is read.
@@ -344,7 +345,7 @@ impl Batch<'_> {
             let written = output.with_checksum().write(&made_file, &token)?;
             Ok(Ok((written, made_file.statistics)))
         };
-        let written = tokio::task::spawn_blocking(write).await.map_err(io::Error::from)?;
+        let written = pool::run_export(write).await.map_err(io::Error::other)?;
         Ok(match written {
             Ok(Ok((written, statistics))) => Ok(entry(file, &written, statistics, start)),
             Ok(Err(why)) => Err(Unmade::failed(why)),
