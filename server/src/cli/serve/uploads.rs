@@ -3,10 +3,10 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
-use isopeel_volumes::SharedCatalog;
+use isopeel_volumes::{Frame, SharedCatalog};
 
 use super::super::token::lifetime;
-use super::Args;
+use crate::private_folder::FolderAccess;
 use crate::uploads::{FolderError, Limits, UploadFolder, Uploads};
 
 /// Default of `--upload-quota`. Enough for some volumes of 1024³ samples.
@@ -44,17 +44,24 @@ impl UploadArgs {
         self.uploads.as_ref()
     }
 
-    /// Opens the uploads of the folder, and adds their volumes to the catalog. `args` are all options of the server.
-    pub(super) fn open(&self, args: &Args, catalog: &SharedCatalog) -> Result<Option<Uploads>, FolderError> {
+    /// Opens the uploads of the folder, and adds their volumes to the catalog. `served`: paths of other volumes; `access`: who may use the
+    /// folder; `frame`: coordinates of all volumes.
+    pub(super) fn open(
+        &self,
+        served: &[PathBuf],
+        access: FolderAccess,
+        frame: Frame,
+        catalog: &SharedCatalog,
+    ) -> Result<Option<Uploads>, FolderError> {
         let Some(path) = &self.uploads else { return Ok(None) };
-        let folder = UploadFolder::open(path, args.folder_access)?;
-        folder.is_beside(&args.paths)?;
+        let folder = UploadFolder::open(path, access)?;
+        folder.is_beside(served)?;
         let limits = Limits {
             quota_bytes: self.upload_quota.saturating_mul(1 << 20),
             keep: self.upload_expiry,
             keep_unfinished: self.upload_timeout,
         };
-        let opened = Uploads::open(folder, limits, args.frame, catalog.clone());
+        let opened = Uploads::open(folder, limits, frame, catalog.clone());
         opened.map(Some).map_err(|source| FolderError::Io {
             path: path.clone(),
             source,
