@@ -37,7 +37,11 @@ fn ends(server: &Faulty, reason: &str) -> f64 {
 fn wait_for_ends(server: &Faulty, reason: &str, times: f64) {
     let start = Instant::now();
     while ends(server, reason) < times {
-        assert!(start.elapsed() < LIMIT, "{reason}");
+        if start.elapsed() > LIMIT {
+            let metrics = metrics_of(server.address());
+            let ended: Vec<_> = metrics.lines().filter(|line| line.starts_with(ENDED)).collect();
+            panic!("{reason}, found {ended:?}");
+        }
         std::thread::sleep(Duration::from_millis(20));
     }
 }

@@ -9,7 +9,7 @@
  *             run, and the driver says that it did; "nobuild K": the program that has kernel K does not build.
  *             "kill K": as "crash K", by a signal that the driver does not send.
  *             All but "nobuild" happen on all devices, or on those whose name begins with DEVICE_FAULT_ON.
- *   "leak N"  the next launch of a kernel takes N MiB of memory and never frees them. The file is removed.
+ *   "leak N"  after the next launch of a kernel, N MiB of memory are taken and never freed. The file is removed.
  *   "full N"  no buffer of more than N bytes can be had as long as the file is there.
  *   "peek"    the next launch of a kernel tries what a hostile driver would: to list or read each path in DEVICE_FAULT_PEEK (separated by
  *             colons), to make a file in it or beside it, to use TCP (the port in DEVICE_FAULT_PORT), to signal its parent and to read its
@@ -174,7 +174,16 @@ static cl_int CL_API_CALL build_program(cl_program program, cl_uint count, const
     return result;
 }
 
-/* Takes memory if the file says so. */
+static void *take_memory(void *bytes) {
+    /* Static, or the compiler leaves both calls out. */
+    static void *volatile memory;
+    memory = malloc((size_t)bytes);
+    if (memory) memset(memory, 1, (size_t)bytes);
+    return NULL;
+}
+
+/* Takes memory if the file says so. In a thread of its own: where the system has to find the pages, that takes seconds, in which a launch that
+ * waited for it would be stuck. */
 static void leak(void) {
     char text[64];
     pthread_mutex_lock(&lock);
@@ -182,11 +191,8 @@ static void leak(void) {
     int is = strncmp(text, "leak ", 5) == 0;
     if (is) unlink(getenv("DEVICE_FAULT"));
     pthread_mutex_unlock(&lock);
-    size_t bytes = is ? strtoull(text + 5, NULL, 10) << 20 : 0;
-    /* Static, or the compiler leaves both calls out. */
-    static void *volatile memory;
-    memory = is ? malloc(bytes) : NULL;
-    if (memory) memset(memory, 1, bytes);
+    pthread_t thread;
+    if (is && pthread_create(&thread, NULL, take_memory, (void *)(strtoull(text + 5, NULL, 10) << 20)) == 0) pthread_detach(thread);
 }
 
 static void write_outcome(FILE *out, const char *what, const char *where, int result) {
